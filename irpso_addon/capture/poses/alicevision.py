@@ -84,8 +84,10 @@ def _lens(row: dict[str, Any], version: tuple[int, ...], path: Path) -> Lens | s
     distortion, reverse = (
         str(row.get(key, default)).lower() for key, default in (("distortionType", kind), ("undistortionType", "none"))
     )
-    odd = next((name for name in (kind, distortion) if name not in _DISTORTIONS), reverse if reverse != "none" else "")
-    if odd or not kind:
+    odd = next(
+        (name for name in (kind, distortion) if name not in _DISTORTIONS), reverse if reverse != "none" else None
+    )
+    if odd is not None:
         return f"has intrinsics of type '{odd}', which is not read; choose pinhole, radialk1, radialk3 or brown"
     names = _DISTORTIONS[distortion]
     if abs(float(_value(row.get("pixelRatio", 1), f"{where}: pixelRatio")) - 1) > 1e-6:
@@ -154,7 +156,7 @@ def _numbers(row: dict[str, Any], key: str, count: int, where: str) -> list[floa
 def _value(value: Any, where: str) -> float:
     try:
         number = float(value)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise CaptureError(f"{where} must be a number; {_AGAIN}", "not_number") from error
     if not np.isfinite(number):
         raise CaptureError(f"{where} must be a finite number; {_AGAIN}", "not_number")

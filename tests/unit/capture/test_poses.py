@@ -301,6 +301,13 @@ def test_views_without_a_pose_or_in_a_rig_are_named_as_such(tmp_path):
         ({"intrinsics": {"type": "fisheye4"}}, "intrinsics of type 'fisheye4', which is not read"),
         ({"intrinsics": {"type": "equidistant"}}, "'equidistant', which is not read"),
         ({"intrinsics": {"type": "pinhole", "distortionType": "3deradial4"}}, "'3deradial4', which is not read"),
+        ({"intrinsics": {"distortionType": ""}}, "intrinsics of type '', which is not read"),
+        ({"intrinsics": {"type": ""}}, "intrinsics of type '', which is not read"),
+        ({"intrinsics": {"focalLength": 10**400}}, "focalLength must be a number"),
+        (
+            {"intrinsics": {"distortionParams": ["1e308", "0", "0"]}},
+            "'/scan/IMG_0001.JPG': its distortion is no lens's",
+        ),
         ({"intrinsics": {"undistortionType": "3declassicld"}}, "'3declassicld', which is not read"),
         ({"intrinsics": {"pixelRatio": "1.5"}}, "oblong pixels"),
         ({"intrinsics": {"distortionParams": ["1"]}}, "intrinsics 31: distortionParams must be 3 numbers"),
