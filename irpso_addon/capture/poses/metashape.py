@@ -121,6 +121,10 @@ def _parsed(path: Path) -> ElementTree.Element:
         return ElementTree.fromstring(data)
     except (expat.ExpatError, ElementTree.ParseError) as error:
         raise CaptureError(f"{path}: is cut short or no XML ({error}); {_AGAIN}", "not_text") from error
+    except (ValueError, LookupError) as error:  # of the declared encoding
+        raise CaptureError(
+            f"{path}: has an encoding that is not read ({error}); save it as UTF-8", "not_text"
+        ) from error
 
 
 def _lens(sensor: ElementTree.Element, where: str) -> Lens | str:

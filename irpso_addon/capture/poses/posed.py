@@ -8,6 +8,7 @@ from functools import cache
 from operator import eq
 from os.path import commonprefix
 from pathlib import Path, PurePosixPath, PureWindowsPath
+from unicodedata import normalize
 
 import numpy as np
 
@@ -39,6 +40,7 @@ class PoseFile:
     def name_of(self, image_name: str, where: str) -> str:
         """Return the name of an image's camera: equal, else equal without case, else without suffix and case.
 
+        Without case accents count alike, alone or as a part of their letter (Unicode NFC), as macOS writes them.
         Folders that only one of the two names has, or that all cameras share, are ignored; others must agree from the
         last on.
         Raises CaptureError, beginning with ``where``, for none or several.
@@ -63,7 +65,7 @@ class PoseFile:
             return [image_name]
         # The folders that all share say nothing: the photographs may have moved, or been developed, since.
         shared = len(commonprefix([path_parts(name)[:-1] for name in names]))
-        for key in (tuple, _lower, lambda parts: (*_lower(parts[:-1]), PurePosixPath(parts[-1].lower()).stem)):
+        for key in (tuple, _lower, lambda parts: (*_lower(parts[:-1]), PurePosixPath(*_lower(parts[-1:])).stem)):
             wanted = key(path_parts(image_name))
             parts = {name: key(path_parts(name)[shared:]) for name in names}
             if matches := [name for name in names if all(map(eq, parts[name][::-1], wanted[::-1]))]:
@@ -216,4 +218,4 @@ def path_parts(name: str) -> tuple[str, ...]:
 
 
 def _lower(parts: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(part.lower() for part in parts)
+    return tuple(normalize("NFC", part.lower()) for part in parts)

@@ -256,6 +256,14 @@ def test_another_file_than_metashapes_is_reported(tmp_path, text, words):
         read_poses(path)
 
 
+@pytest.mark.parametrize("encoding", ["shift_jis", "x-unknown"])
+def test_an_xml_of_an_encoding_that_is_not_read_is_reported(tmp_path, encoding):
+    path = metashape(tmp_path / "cameras.xml")
+    path.write_text(path.read_text().replace("UTF-8", encoding))
+    with pytest.raises(CaptureError, match="cameras.xml: has an encoding that is not read .*; save it as UTF-8"):
+        read_poses(path)
+
+
 # ---- AliceVision
 
 
@@ -424,6 +432,8 @@ def test_an_image_name_that_fits_several_cameras_must_be_whole(tmp_path):
         (["cam2\\1.jpg", "cam1\\2.jpg"], "cam1/1.jpg", None),
         (["cam2\\1.jpg", "cam1\\2.jpg"], "cam1/2.jpg", "cam1\\2.jpg"),
         (["1.jpg"], "cam1/1.jpg", "1.jpg"),
+        (["Bu\u0308ste"], "B\u00fcste.jpg", "Bu\u0308ste"),  # u and its dots, as macOS writes ü
+        (["B\u00dcSTE.JPG"], "bu\u0308ste.jpg", "B\u00dcSTE.JPG"),
         # Paths of another computer: only the folders that differ count.
         (["/scan/1.jpg", "/scan/2.jpg"], "developed/1.exr", "/scan/1.jpg"),
         (["/scan/cam1/2.jpg", "/scan/cam2/1.jpg"], "developed/cam1/1.exr", None),
