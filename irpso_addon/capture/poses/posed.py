@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, cached_property
 from operator import eq
 from os.path import commonprefix
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -60,17 +60,28 @@ class PoseFile:
         raise CaptureError(f"{where}: its camera should be in {self.path}: {why}", "camera")
 
     def _matches(self, image_name: str) -> list[str]:
-        names = [*self.cameras, *self.unusable]
-        if image_name in names:
+        if image_name in self.cameras or image_name in self.unusable:
             return [image_name]
-        # The folders that all share say nothing: the photographs may have moved, or been developed, since.
-        shared = len(commonprefix([path_parts(name)[:-1] for name in names]))
-        for key in (tuple, _lower, lambda parts: (*_lower(parts[:-1]), PurePosixPath(*_lower(parts[-1:])).stem)):
+        for key, names in zip(_KEYS, self._names_by_last, strict=True):
             wanted = key(path_parts(image_name))
-            parts = {name: key(path_parts(name)[shared:]) for name in names}
-            if matches := [name for name in names if all(map(eq, parts[name][::-1], wanted[::-1]))]:
+            if matches := [name for name, parts in names.get(wanted[-1], ()) if _agree(parts, wanted)]:
                 return matches
         return []
+
+    @cached_property
+    def _names_by_last(self) -> list[dict[str, list[tuple[str, tuple[str, ...]]]]]:
+        """Return for each of _KEYS: last part of a name → the names that end with it, with their parts.
+
+        The folders that all share say nothing: the photographs may have moved, or been developed, since.
+        """
+        names = [*self.cameras, *self.unusable]
+        shared = len(commonprefix([path_parts(name)[:-1] for name in names]))
+        tables: list[dict[str, list[tuple[str, tuple[str, ...]]]]] = [{} for _ in _KEYS]
+        for table, key in zip(tables, _KEYS, strict=True):
+            for name in names:
+                parts = key(path_parts(name)[shared:])
+                table.setdefault(parts[-1], []).append((name, parts))
+        return tables
 
 
 # (width, height), focal length, centre, distortion: see camera_from_vision.
@@ -219,3 +230,17 @@ def path_parts(name: str) -> tuple[str, ...]:
 
 def _lower(parts: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(normalize("NFC", part.lower()) for part in parts)
+
+
+def _without_suffix(parts: tuple[str, ...]) -> tuple[str, ...]:
+    *folders, last = _lower(parts)
+    return (*folders, PurePosixPath(last).stem)
+
+
+def _agree(parts: tuple[str, ...], wanted: tuple[str, ...]) -> bool:
+    """Return whether two paths agree from their last parts on, as far as both go."""
+    return all(map(eq, parts[::-1], wanted[::-1]))
+
+
+# What two names are compared by, the strictest first: parts of a path → parts.
+_KEYS: tuple[Callable[[tuple[str, ...]], tuple[str, ...]], ...] = (tuple, _lower, _without_suffix)

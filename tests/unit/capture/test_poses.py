@@ -1,12 +1,13 @@
 """Cameras of other programs: files written by hand from the formats' documentation, known points on known pixels."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from irpso_addon.capture import CaptureError
-from irpso_addon.capture.poses import moved, read_poses, similarity, upright_camera
+from irpso_addon.capture.poses import PoseFile, moved, posed, read_poses, similarity, upright_camera
 from tests.builders.poses import (
     CENTRE,
     CHUNK,
@@ -447,6 +448,16 @@ def test_an_image_never_has_the_camera_of_another_folders_image(tmp_path, names,
         return
     with pytest.raises(CaptureError, match=f"^here: .*it has no '{image}'; set camera"):
         poses.name_of(image, "here")
+
+
+def test_names_are_prepared_once_for_all_photographs(monkeypatch):
+    calls = []
+    lower = posed._lower
+    monkeypatch.setattr(posed, "_lower", lambda parts: calls.append(parts) or lower(parts))
+    names = [f"IMG_{number:04}" for number in range(300)]
+    found = PoseFile(Path("a.xml"), "Metashape", dict.fromkeys(names, a_camera), {})
+    assert [found.name_of(f"photos/{name}.JPG", "here") for name in names] == names
+    assert len(calls) <= 5 * len(names)
 
 
 def test_an_image_that_fits_an_unusable_camera_as_well_has_no_other(tmp_path):
