@@ -142,6 +142,30 @@ def test_a_turn_other_than_the_aligned_photographs_is_a_warning(
         assert words in warnings[0]
 
 
+@pytest.mark.parametrize(("tag", "mask_tag", "doubted"), [(3, None, True), (1, None, False), (3, 3, False)])
+def test_a_mask_that_may_lie_as_the_stored_photograph_is_a_warning(tmp_path, tag, mask_tag, doubted):
+    scan(tmp_path)
+    write_png(tmp_path / "IMG_1.png", spot(), extra=chunk(b"eXIf", exif(orientation=tag)))
+    extra = chunk(b"eXIf", exif(orientation=mask_tag)) if mask_tag else b""
+    write_png(tmp_path / "mask.png", np.full((48, 64, 1), 255), extra=extra)
+    listed(tmp_path, "IMG_1.png", more='[[camera]]\nname = "IMG_1.jpg"\nmask = "mask.png"\n')
+    warnings = read_capture(tmp_path, decode).warnings
+    assert len(warnings) == doubted and all("mask.png: the photographs have the EXIF or" in text for text in warnings)
+
+
+def test_a_mask_on_its_side_is_to_be_turned(tmp_path):
+    scan(tmp_path)
+    write_png(tmp_path / "IMG_1.png", spot(), extra=chunk(b"eXIf", exif(orientation=6)))
+    write_png(tmp_path / "mask.png", np.full((48, 64, 1), 255))
+    listed(tmp_path, "IMG_1.png", more='[[camera]]\nname = "IMG_1.jpg"\nmask = "mask.png"\n')
+    with pytest.raises(CaptureError, match="mask is 64×48 pixels, the images 48×64; turn it upright, as viewers"):
+        read_capture(tmp_path, decode)
+    (tmp_path / "mask.png").unlink()
+    with pytest.raises(CaptureError, match="mask.png: this image is not there") as caught:
+        read_capture(tmp_path, decode)
+    assert caught.value.code == "mask_missing"
+
+
 def test_a_stated_orientation_is_a_number_of_exif(tmp_path):
     for text, expected in (("6", {"IMG_0001": 6}), ("0", {}), ("9", {}), ("six", {}), ("", {})):
         found = read_poses(tmp_path / aligned(tmp_path, "metashape", text))
