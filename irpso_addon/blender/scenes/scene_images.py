@@ -30,7 +30,7 @@ _NOT_STILL = {"SEQUENCE": "an image sequence", "MOVIE": "a movie", "TILED": "a s
 class Photograph:
     """An image of the open file for a capture. size: (width, height). where: its name in errors.
 
-    coarse: it holds 8-bit sRGB codes. turned_by: EXIF orientation by which its pixels are turned as they are read.
+    coarse: it holds 8-bit sRGB codes. turned_by: EXIF orientation by which the stored picture was turned.
     read: returns its Samples. mask: returns (H, W) bool. Both raise InputError.
     """
 
