@@ -142,6 +142,18 @@ def test_a_turn_other_than_the_aligned_photographs_is_a_warning(
         assert words in warnings[0]
 
 
+def test_a_cameras_first_image_may_be_left_out_as_damaged(tmp_path):
+    scan(tmp_path)
+    write_png(tmp_path / "a.png", spot(), extra=chunk(b"eXIf", exif(orientation=3)))
+    write_png(tmp_path / "b.png", spot(), extra=chunk(b"eXIf", exif(orientation=3)))
+    (tmp_path / "a.png").write_bytes((tmp_path / "a.png").read_bytes()[:40])
+    rows = "".join(f'[[observation]]\nimage = "{name}.png"\ncamera = "IMG_1"\n{LIT}' for name in "ab")
+    (tmp_path / "capture.toml").write_text(f'cameras = "colmap"\n{rows}')
+    capture = read_capture(tmp_path, decode, skip_damaged=True)
+    assert [observation.name for observation in capture.observations] == ["b.png"]
+    assert_shows_the_point(capture)
+
+
 @pytest.mark.parametrize(("tag", "mask_tag", "doubted"), [(3, None, True), (1, None, False), (3, 3, False)])
 def test_a_mask_that_may_lie_as_the_stored_photograph_is_a_warning(tmp_path, tag, mask_tag, doubted):
     scan(tmp_path)
