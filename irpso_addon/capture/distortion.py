@@ -13,6 +13,7 @@ import math
 import numpy as np
 
 NAMES = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+MAX_COEFFICIENT = 1e12  # in size: far beyond any lens's, and its products are finite
 _REAL = 1e-9  # a root with a smaller imaginary part, relative to its size, counts as real
 _TABLE = 4096  # radii in the table that gives Newton's method its start
 _STEPS = 30  # most of Newton's method; from the table it takes three or four

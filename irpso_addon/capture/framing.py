@@ -1,8 +1,7 @@
 """Crops, scales and rectifies the images of a capture.
 
-Rectification of a tilted card is a rotation of the camera about its centre (Hartley & Zisserman 2004, Multiple View
-Geometry, Section 8.4.2). The result is again a capture: its cameras are rotated and its images resampled, world and
-lights do not change.
+The result is again a capture: corners rotate its camera (rectify.py), its images are resampled, world and lights do not
+change.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ import math
 from collections.abc import Callable, Generator
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 
@@ -20,16 +19,14 @@ from ..core.steps import blocking
 from .bounds import bounded, weight_and_clipped
 from .camera import Camera
 from .card import near_lights
-from .distortion import undistorted
 from .errors import CaptureError
 from .frame.find import DetectedCorners, corner_steps
+from .rectify import MIN_SIDE, rectified_camera, size_in_pixels
 from .types import Capture
 
 AUTO = "auto"  # search the corners in the photographs
 
 Point = tuple[float, float]
-_ANGLE_TOLERANCE = 10.0  # degrees: of a right angle between two sides, for the camera's lens
-_MIN_SIDE = 4  # pixels of a framed picture
 _BLOCK = 1 << 19  # samples resampled at a time
 _CLIPPED_SHARE = 1e-3  # a pixel with a larger clipped share is a lower bound
 _TILTED = 5.0  # degrees: of a card, from which on its distance is doubtful
@@ -283,17 +280,17 @@ def _bilinear(image: np.ndarray, places: np.ndarray) -> np.ndarray:
 def _view(camera: Camera, framing: Framing) -> _View:
     count = math.ceil(1 / framing.scale - 1e-9)
     if framing.corners:
-        target = _rectified_camera(camera, framing)
+        target = rectified_camera(camera, cast(tuple[Point, ...], framing.corners), framing.scale)
         return _View(target, partial(_original_pixels, target, camera), count, upright=False)
     x, top, width, height = map(int, framing.crop or (0, 0, camera.width, camera.height))
-    if min(x, top) < 0 or min(width, height) < _MIN_SIDE or x + width > camera.width or top + height > camera.height:
+    if min(x, top) < 0 or min(width, height) < MIN_SIDE or x + width > camera.width or top + height > camera.height:
         raise CaptureError(
             f"crop {x},{top},{width},{height}: is no part of pictures of {camera.width}×{camera.height} pixels; give"
-            f" x, y, width and height from the upper left corner, at least {_MIN_SIDE} pixels wide and high",
+            f" x, y, width and height from the upper left corner, at least {MIN_SIDE} pixels wide and high",
             "crop",
         )
     y = camera.height - top - height
-    size = _size(width, height, framing.scale)
+    size = size_in_pixels(width, height, framing.scale)
     ratio = size[0] / width, size[1] / height
     centre = (camera.centre[0] - x) * ratio[0], (camera.centre[1] - y) * ratio[1]
     scale = camera.scale[0] * ratio[0], camera.scale[1] * ratio[1]
@@ -301,95 +298,11 @@ def _view(camera: Camera, framing: Framing) -> _View:
     return _View(target, lambda at: at / ratio + (x, y), count, (x, y, width, height) if framing.scale == 1 else None)
 
 
-def _size(width: float, height: float, scale: float) -> tuple[int, int]:
-    longest = max(width, height)
-    if scale < 1 and round(scale * longest) < _MIN_SIDE:
-        raise CaptureError(
-            f"scale is {scale:g}: that leaves less than {_MIN_SIDE} of {longest:.0f} pixels; give"
-            f" {min(1.0, _MIN_SIDE / longest):.2g} or more",
-            "value",
-        )
-    return max(_MIN_SIDE, round(scale * width)), max(_MIN_SIDE, round(scale * height))
-
-
 def _original_pixels(framed_camera: Camera, camera: Camera, pixels: np.ndarray) -> np.ndarray:
     """Return the pixel coordinates (…, 2) in ``camera`` of pixels (…, 2) of a rotated camera at the same position."""
     plane = (pixels - framed_camera.centre) / np.asarray(framed_camera.scale)
     world = np.concatenate([plane, np.full((*plane.shape[:-1], 1), -1.0)], axis=-1) @ framed_camera.matrix[:3, :3].T
     return camera.project(world + framed_camera.position)[0]
-
-
-def _rectified_camera(camera: Camera, framing: Framing) -> Camera:
-    """Return the camera rotated to face the rectangle of the corners, and cropped to it.
-
-    The resolution is that of the rectangle's best resolved side in the image, times the scale.
-    """
-    corners = np.array(framing.corners, np.float64) * (1, -1) + (0, camera.height)
-    if not ((corners >= 0) & (corners <= (camera.width, camera.height))).all():
-        raise CaptureError(
-            f"corners: one lies outside the picture of {camera.width}×{camera.height} pixels; count from its upper left"
-            " corner, x to the right and y down",
-            "corners",
-        )
-    sides = np.roll(corners, -1, axis=0) - corners
-    if not (turns(corners) < 0).all():
-        raise CaptureError(
-            "corners: they do not go around a rectangle clockwise; give them from the upper left one, to the right and"
-            " down",
-            "corners",
-        )
-    plane = (corners - camera.centre) / np.asarray(camera.scale)
-    if any(camera.distortion):
-        plane = undistorted(plane, camera.distortion)
-    rays = np.concatenate([plane, np.full((4, 1), -1.0)], axis=-1)
-    axes = _axes(camera, rays)
-    if camera.perspective:
-        rays /= -(rays @ axes[:, 2:])  # onto the card's plane at distance 1
-    flat = rays @ axes[:, :2]
-    lengths = np.linalg.norm(np.roll(flat, -1, axis=0) - flat, axis=1)
-    finest = float((np.linalg.norm(sides, axis=1) / lengths).max())
-    low = flat[[0, 3], 0].mean(), flat[[2, 3], 1].mean()
-    high = flat[[1, 2], 0].mean(), flat[[0, 1], 1].mean()
-    width, height = _size(finest * (high[0] - low[0]), finest * (high[1] - low[1]), framing.scale)
-    scale = width / (high[0] - low[0]), height / (high[1] - low[1])
-    matrix = np.array(camera.matrix, np.float64)
-    matrix[:3, :3] = matrix[:3, :3] @ axes
-    return Camera(width, height, scale, (-low[0] * scale[0], -low[1] * scale[1]), matrix, camera.perspective)
-
-
-def turns(corners: np.ndarray) -> np.ndarray:
-    """Return (4,) the cross product of the sides before and after each of four corners (4, 2), beside the first.
-
-    Above 0 for a turn from x toward y: anticlockwise with y up, clockwise with y down.
-    """
-    sides = np.roll(corners, -1, axis=0) - corners
-    (x, y), (next_x, next_y) = sides.T, np.roll(sides, -1, axis=0).T
-    return np.asarray(x * next_y - y * next_x)
-
-
-def _axes(camera: Camera, rays: np.ndarray) -> np.ndarray:
-    """Return (3, 3), as columns in the camera's axes: right, up and toward the viewer of a rectangle.
-
-    rays: (4, 3) through its corners, to z = −1. The planes through the centre of projection and two opposite sides
-    intersect in a line parallel to both. Under an orthographic camera the card faces the camera.
-    """
-    top, right, bottom, left = np.roll(rays, -1, axis=0) - rays
-    across, upward = top - bottom, left - right
-    if camera.perspective:
-        planes = np.cross(rays, np.roll(rays, -1, axis=0))
-        lines = np.cross(planes[0], planes[2]), np.cross(planes[3], planes[1])
-        across, upward = (line * np.sign(line @ rough) for line, rough in zip(lines, (across, upward), strict=True))
-    across, upward = across / np.linalg.norm(across), upward / np.linalg.norm(upward)
-    angle = math.degrees(math.acos(np.clip(across @ upward, -1, 1)))
-    if abs(angle - 90) > _ANGLE_TOLERANCE:
-        raise CaptureError(
-            f"corners: seen through this lens their sides meet at {angle:.0f}°, not at a right angle; check them, and"
-            " the camera's fov_degrees",
-            "corners",
-        )
-    toward = np.cross(across, upward)
-    toward /= np.linalg.norm(toward)
-    return np.stack([across, np.cross(toward, across), toward], axis=-1)
 
 
 def _distance(camera: Camera, width: float) -> float:

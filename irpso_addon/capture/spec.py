@@ -46,7 +46,7 @@ class ViewSpec:
 
     placed: whether its pose is not the identity (at the origin, looking along −z). where: file and place, for errors.
     lens: whether the file gives a focal length, angle or width; else the camera is orthographic, 2 units wide. foreign:
-    whether another program's file (``cameras``) gives it.
+    whether another program's file (``cameras``) gives it. doubt: returns a warning about its images, "" for none.
     """
 
     name: str
@@ -57,6 +57,7 @@ class ViewSpec:
     placed: bool = False
     lens: bool = True
     foreign: bool = False
+    doubt: Callable[[], str] = str
 
 
 class CaptureKind(StrEnum):
@@ -142,6 +143,8 @@ def build_steps(spec: CaptureSpec, decoder: Decoder | None = None) -> Generator[
         faults += orientation_faults([observation.image for observation, _ in of_view], store)
         cameras.append(view.make(width, height))
         masks.append(_mask(view, (width, height), store, faults))
+        doubts = view.doubt(), _mask_doubt(view, [observation.image for observation, _ in of_view], store)
+        warnings += [doubt for doubt in doubts if doubt]
         warnings += yield from _exposure_warnings([observation for observation, _ in of_view], store)
     raise_all(faults)
     tested = [
@@ -315,11 +318,11 @@ def _mask(view: ViewSpec, size: tuple[int, int], store: ImageStore, faults: list
     try:
         mask_size = store.size(view.mask)
         if mask_size != size:
-            raise CaptureError(
-                f"{view.mask}: the mask is {mask_size[0]}×{mask_size[1]} pixels, the images {size[0]}×{size[1]};"
-                " save it at the images' size",
-                "mask_size",
-            )
+            remedy = "save it at the images' size"
+            if mask_size == size[::-1]:
+                remedy = "turn it upright, as viewers show the images: some programs write it as they are stored"
+            what = f"the mask is {mask_size[0]}×{mask_size[1]} pixels, the images {size[0]}×{size[1]}"
+            raise CaptureError(f"{view.mask}: {what}; {remedy}", "mask_size")
         mask = store.mask(view.mask)
         if not mask.any():
             raise CaptureError(f"{view.mask}: the mask is empty; paint what is to be solved white", "mask_empty")
@@ -328,3 +331,21 @@ def _mask(view: ViewSpec, size: tuple[int, int], store: ImageStore, faults: list
         code = error.code if error.code.startswith("mask") else f"mask_{error.code}"
         faults.append(CaptureError(error.message, code))
         return all_pixels
+
+
+def _mask_doubt(view: ViewSpec, images: Sequence[ImageRef], store: ImageStore) -> str:
+    """Return a warning if a mask may lie as the stored photographs do, whose camera another program gave; "" if not.
+
+    Metashape and COLMAP write masks so, without an EXIF orientation.
+    """
+    if view.mask is None or not view.foreign or not images:
+        return ""
+    turned_by, own = store.turned_by(images[0]), 0
+    with suppress(CaptureError):  # _mask reports it
+        own = store.turned_by(view.mask)
+    if turned_by == 1 or own != 1:
+        return ""
+    return (
+        f"{view.mask}: the photographs have the EXIF orientation {turned_by}, the mask none; it must be upright, as"
+        " viewers show the photographs: turn a mask that Metashape or COLMAP wrote"
+    )

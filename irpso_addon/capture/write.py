@@ -18,6 +18,7 @@ from .errors import CaptureError
 from .formats.table import CARD_DISTANCE, FORMAT, TABLE
 from .framing import Framing
 from .images.exr import write_exr
+from .images.exr_header import Turn
 from .types import Capture, Light
 
 _IMAGES = "images.exr"
@@ -25,14 +26,21 @@ _WHOLE = Framing()
 
 
 def write_steps(
-    capture: Capture, folder: Path | str, *, half: bool = False, single_file: bool = False, framing: Framing = _WHOLE
+    capture: Capture,
+    folder: Path | str,
+    *,
+    half: bool = False,
+    single_file: bool = False,
+    framing: Framing = _WHOLE,
+    turns: Sequence[Turn | None] = (),
 ) -> Generator[float, None, list[str]]:
     """Write a capture into a new or empty folder, whole or not at all; yield the fraction done before each image.
 
     ``read_capture`` reads it back. half: 16-bit instead of 32-bit floats (values from 65504 read back as clipped).
     single_file: all images and masks as parts of one EXR; the cameras must have one size. framing: of the images, for
-    whoever reads the folder. Weights other than 1 are kept as alpha. Returns the names of files or parts. Raises
-    InputError if the folder is not empty or cannot be written, or sizes differ.
+    whoever reads the folder. turns: of the photographs, for single files. Weights other than 1 are kept as alpha.
+    Returns the names of files or parts. Raises InputError if the folder is not empty or cannot be written, or sizes
+    differ.
     """
     folder = Path(folder)
     if single_file and len({(camera.width, camera.height) for camera in capture.cameras}) > 1:
@@ -48,7 +56,7 @@ def write_steps(
             if single_file:
                 parts[name] = channels
             else:
-                write_exr(partial / f"{name}.exr", {"": channels}, half)
+                write_exr(partial / f"{name}.exr", {"": channels}, half, turns[n] if turns else None)
         masks = {n: {"Y": capture.masks[n].astype(np.float32)} for n in masked}
         if single_file:
             write_exr(partial / _IMAGES, parts | {f"mask_{n}": mask for n, mask in masks.items()}, half)

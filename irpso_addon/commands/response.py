@@ -96,7 +96,7 @@ def _codes(store: ImageStore, image: ImageRef) -> np.ndarray:
     picture = None if is_exr(image.path) else store.picture(image)
     if picture is None or picture.bits == 32:
         raise InputError(f"{image}: holds linear floats, which have no response curve; give the camera's own files")
-    values = picture.values
+    values = np.minimum(picture.values, 1)  # of raw files colours may lie above
     return values[..., :3] if values.shape[-1] >= 3 else np.repeat(values[..., :1], 3, axis=-1)
 
 

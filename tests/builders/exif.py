@@ -52,16 +52,21 @@ def jpeg(width, height, block=b""):
     return head + frame + b"\xff\xda\0\2 data\xff\xd9"
 
 
-def dng(mosaic, black=0, white=65535, neutral=(1.0, 1.0, 1.0), orientation=1, seconds=None):
-    """Return a DNG 1.4 file of a mosaic (H, W) of 16-bit codes, pattern RGGB, of a camera with Rec. 709 primaries."""
-    height, width = mosaic.shape
+def dng(mosaic, black=0, white=65535, neutral=(1.0, 1.0, 1.0), orientation=1, seconds=None, matrix=XYZ_TO_REC709):
+    """Return a DNG 1.4 file of a mosaic (H, W) of 16-bit codes, pattern RGGB, of a camera with Rec. 709 primaries.
+
+    Codes (H, W, 3) make a linear DNG, whose pixels have all three colours. matrix: (3, 3), of XYZ to another camera's.
+    """
+    height, width = mosaic.shape[:2]
+    channels = mosaic.size // (height * width)
+    pattern = [(33421, SHORT, [2, 2]), (33422, BYTE, [0, 1, 1, 2])] if channels == 1 else []
     tags = [
-        (254, LONG, [0]), (256, LONG, [width]), (257, LONG, [height]), (258, SHORT, [16]), (259, SHORT, [1]),
-        (262, SHORT, [32803]), (271, ASCII, b"Test\0"), (272, ASCII, b"Camera\0"), (274, SHORT, [orientation]),
-        (277, SHORT, [1]), (278, LONG, [height]), (279, LONG, [2 * mosaic.size]), (33421, SHORT, [2, 2]),
-        (33422, BYTE, [0, 1, 1, 2]), (50706, BYTE, [1, 4, 0, 0]), (50708, ASCII, b"Test Camera\0"),
-        (50714, SHORT, [black]), (50717, SHORT, [white]), (50778, SHORT, [21]),
-        (50721, SRATIONAL, [(round(v * 10**4), 10**4) for v in XYZ_TO_REC709.ravel()]),
+        (254, LONG, [0]), (256, LONG, [width]), (257, LONG, [height]), (258, SHORT, [16] * channels), (259, SHORT, [1]),
+        (262, SHORT, [32803 if pattern else 34892]), (271, ASCII, b"Test\0"), (272, ASCII, b"Camera\0"),
+        (274, SHORT, [orientation]), (277, SHORT, [channels]), (278, LONG, [height]), (279, LONG, [2 * mosaic.size]),
+        *pattern, (50706, BYTE, [1, 4, 0, 0]), (50708, ASCII, b"Test Camera\0"),
+        (50714, SHORT, [black] * channels), (50717, SHORT, [white] * channels), (50778, SHORT, [21]),
+        (50721, SRATIONAL, [(round(v * 10**4), 10**4) for v in matrix.ravel()]),
         (50728, RATIONAL, [(round(v * 10**4), 10**4) for v in neutral]),
     ]  # fmt: skip
     tags += [(33434, RATIONAL, [seconds])] if seconds else []

@@ -13,6 +13,7 @@ import numpy as np
 
 from ...capture.errors import CaptureError
 from ...capture.images.exif import upright
+from ...capture.images.exr_header import is_exr
 from ...capture.images.image import ImageRef, ImageStore
 from ...capture.images.linearise import Picture, Samples, mask_of_picture, samples_of_picture
 from ...core.errors import InputError
@@ -29,7 +30,7 @@ _NOT_STILL = {"SEQUENCE": "an image sequence", "MOVIE": "a movie", "TILED": "a s
 class Photograph:
     """An image of the open file for a capture. size: (width, height). where: its name in errors.
 
-    coarse: it holds 8-bit sRGB codes. turned_by: EXIF orientation by which its pixels are turned as they are read.
+    coarse: it holds 8-bit sRGB codes. turned_by: EXIF orientation by which the stored picture was turned.
     read: returns its Samples. mask: returns (H, W) bool. Both raise InputError.
     """
 
@@ -89,10 +90,10 @@ def _colour_space(image, where: str, requested: str) -> str:
 
 def _in_memory(image, where: str, space: str) -> Photograph:
     """Return an image without an up-to-date file. Found again by its session id: an undo invalidates all pointers."""
-    uid, size, turned_by = image.session_uid, tuple(image.size), stored_orientation(image)
+    uid, size, orientation = image.session_uid, tuple(image.size), stored_orientation(image)
     if 0 in size:
         raise InputError(f"{where} has no pixels; choose another")
-    if turned_by >= 5:
+    if orientation >= 5:
         size = size[::-1]
 
     def picture() -> Picture:
@@ -103,26 +104,38 @@ def _in_memory(image, where: str, space: str) -> Photograph:
         values = values.reshape(height, width, current.channels)
         if current.is_float and not current.colorspace_settings.is_data and current.channels >= 3:
             values[..., :3] = to_rec_709(values[..., :3])
-        return Picture(upright(values, turned_by), 32 if current.is_float else 8)
+        return Picture(upright(values, orientation), 32 if current.is_float else 8)
 
     def read() -> Samples:
         # Blender keeps floats linear, whatever the colour space of their file; "auto" reads floats as linear.
         return samples_of_picture(picture(), space)
 
-    coarse = not image.is_float and space != "linear"
+    coarse, turned_by = not image.is_float and space != "linear", _turned_by(image)
     return Photograph(size, where, coarse, turned_by, read, lambda: mask_of_picture(picture()))
 
 
 def stored_orientation(image) -> int:
     """Return the EXIF orientation of an image's file, which Blender does not apply; 1 without an intact file."""
+    return _turned_by(image, exr=False)  # an EXR is upright already
+
+
+def _turned_by(image, exr: bool = True) -> int:
+    """Return ``ImageStore.turned_by`` of an image's file; 1 without an intact file, and of an EXR unless ``exr``."""
     if image.source != "FILE":
         return 1
-    with suppress(InputError):
-        if image.packed_file is None:
-            return ImageStore().turned_by(ImageRef(file_of(image)))
-        with _unpacked(image, image.name) as path:
-            return ImageStore().turned_by(ImageRef(path))
+    with suppress(InputError), _path_of(image) as path:
+        return ImageStore().turned_by(ImageRef(path, image.get(PART))) if exr or not is_exr(path) else 1
     return 1
+
+
+@contextmanager
+def _path_of(image) -> Iterator[Path]:
+    """Yield the path of an image's file, or of a temporary one with its packed bytes."""
+    if image.packed_file is None:
+        yield file_of(image)
+        return
+    with _unpacked(image, image.name) as path:
+        yield path
 
 
 def _packed(image, where: str, space: str) -> Photograph:

@@ -54,5 +54,5 @@ def _codes(store: ImageStore, image: ImageRef) -> np.ndarray:
     """Return (H, W, 3) codes / largest code, row 0 at the bottom. Raises InputError for linear files."""
     if is_exr(image.path):
         raise InputError(f"{image}: is a linear EXR without a response curve; omit --grey-card")
-    values = store.picture(image).values
+    values = np.minimum(store.picture(image).values, 1)  # of raw files colours may lie above
     return values[..., :3] if values.shape[-1] >= 3 else np.repeat(values[..., :1], 3, axis=-1)

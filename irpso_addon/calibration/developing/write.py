@@ -99,10 +99,12 @@ class _Work:
         """Yield before each image; write all images and the lists into a folder."""
         start = _MEASURED if self.shifts is None else _REGISTERED
         groups, capture = self.source.groups, self.source.capture
+        turns = [self.store.turn(group.images[0]) for group in groups]
         if capture is not None:
             observations = [replace(o, read=partial(self._read, k)) for k, o in enumerate(capture.observations)]
             developed_capture = replace(capture, observations=tuple(observations))
-            steps = write_steps(developed_capture, folder, half=self.half, framing=self.source.framing)
+            framing = self.source.framing
+            steps = write_steps(developed_capture, folder, half=self.half, framing=framing, turns=turns)
             self.names = yield from map_steps(steps, lambda part: Progress(start + (1 - start) * part, "developing"))
             return
         for k, group in enumerate(groups):
@@ -112,7 +114,7 @@ class _Work:
             if (rgba[..., 3] != 1).any():
                 channels["A"] = rgba[..., 3]
             self.names.append(f"{group.name}.exr")
-            write_exr(folder / self.names[-1], {"": channels}, self.half)
+            write_exr(folder / self.names[-1], {"": channels}, self.half, turns[k])
         listed = "".join(f"{name}\n" for name in self.names)
         (folder / _FILENAMES).write_text(listed, encoding="utf-8")
         for path in self.source.copied:

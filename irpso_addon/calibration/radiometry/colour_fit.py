@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...capture.frame.homography import mapped
-from ...capture.framing import turns
+from ...capture.rectify import turns
 from ...core.errors import InputError
 from .colour_chart import COLUMNS, PATCHES, ROWS, patch_colours
 from .colour_difference import delta_e_2000, lab_of_linear

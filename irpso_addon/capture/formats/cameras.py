@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +10,9 @@ import numpy as np
 
 from ..camera import Camera, is_rotation
 from ..errors import CaptureError
+from ..images.exr_header import Turn
 from ..images.image import ImageRef, ImageStore
-from ..poses import PoseFile, moved, path_parts, read_poses, similarity, upright_camera
+from ..poses import PoseFile, moved, path_parts, read_poses, similarity, turn_doubt, turn_of_camera, upright_camera
 from ..spec import ViewSpec
 from .toml_file import CAMERA_KEYS, camera_maker, has_lens, image_ref, is_number, known_keys, rows, text
 
@@ -29,6 +31,7 @@ class Views:
         self._poses = _poses(table, path)
         self._world = _world(table, path, self._poses)
         self._masks: dict[str, ImageRef] = {}
+        self._images: dict[str, list[ImageRef]] = {}  # name of a camera of another program → its images
         self._image_of: dict[str, str] = {}  # name of a camera of another program → the first image that it is used for
         for count, row in enumerate(rows(table, "camera", path, needed=self._poses is None), 1):
             # The table may only add a mask to a camera of another program.
@@ -62,20 +65,35 @@ class Views:
                 "camera",
             )
         if name not in names:
-            self.specs.append(self._posed(self._poses, name, image))
+            self.specs.append(self._posed(self._poses, name))
             names.append(name)
+        self._images.setdefault(name, []).append(image)
         return names.index(name)
 
     def _names(self) -> list[str]:
         return [view.name for view in self.specs]
 
-    def _posed(self, poses: PoseFile, name: str, image: ImageRef) -> ViewSpec:
+    def _posed(self, poses: PoseFile, name: str) -> ViewSpec:
         camera, where = poses.cameras[name], f"{poses.path}: camera '{name}'"
+        images = self._images.setdefault(name, [])
 
         def make(width: int, height: int) -> Camera:
-            return moved(upright_camera(camera, width, height, ImageStore().turned_by(image), where), self._world)
+            orientation = turn_of_camera(camera, _turn(images))
+            return moved(upright_camera(camera, width, height, orientation, where), self._world)
 
-        return ViewSpec(name, make, where, None, self._masks.get(name), True, foreign=True)
+        def doubt() -> str:
+            return turn_doubt(poses, name, _turn(images), where)
+
+        return ViewSpec(name, make, where, None, self._masks.get(name), True, foreign=True, doubt=doubt)
+
+
+def _turn(images: list[ImageRef]) -> Turn:
+    """Return the turn of a camera's images, by the first that can be read: damaged ones may be left out."""
+    store = ImageStore()
+    for image in images[:-1]:
+        with suppress(CaptureError):
+            return store.turn(image) or Turn(1, 1)
+    return store.turn(images[-1]) or Turn(1, 1)
 
 
 def _poses(table: dict[str, Any], path: Path) -> PoseFile | None:

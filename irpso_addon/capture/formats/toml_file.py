@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..camera import Camera
-from ..distortion import NAMES
+from ..distortion import MAX_COEFFICIENT, NAMES
 from ..errors import CaptureError
 from ..images.image import ImageRef
 from ..images.linearise import COLOUR_SPACES
@@ -144,8 +144,8 @@ def _distortion(value: Any, orthographic: bool, where: str) -> tuple[float, ...]
         raise CaptureError(f"{where}: distortion is for perspective cameras; remove it or give fov_degrees", "camera")
     if not isinstance(value, list) or not 0 < len(value) <= len(NAMES) or not all(map(is_number, value)):
         raise CaptureError(f"{where}: distortion must be a list of up to 8 numbers: {', '.join(NAMES)}", "value")
-    if not all(map(math.isfinite, value)):
-        raise CaptureError(f"{where}: distortion must hold finite numbers only", "value")
+    if not all(abs(number) <= MAX_COEFFICIENT for number in value):
+        raise CaptureError(f"{where}: distortion must hold finite numbers only, as a lens has them", "value")
     return tuple(map(float, value))
 
 

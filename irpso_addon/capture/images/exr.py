@@ -14,7 +14,7 @@ import numpy as np
 from ...core.encode import linear_from_srgb
 from ...core.files import replacing_file
 from ..errors import CaptureError
-from .exr_header import ExrPart, read_exr_header
+from .exr_header import TURN_NAMES, ExrPart, Turn, read_exr_header
 from .linearise import Samples, samples
 
 if TYPE_CHECKING:
@@ -136,11 +136,14 @@ def samples_of_exr(
     return result
 
 
-def write_exr(path: Path | str, parts: Mapping[str, Mapping[str, np.ndarray]], half: bool = False) -> None:
+def write_exr(
+    path: Path | str, parts: Mapping[str, Mapping[str, np.ndarray]], half: bool = False, turn: Turn | None = None
+) -> None:
     """Write part name → channel name → (H, W), row 0 at the bottom, as a ZIP-compressed EXR file, whole or not at all.
 
-    Floats are written as half if ``half`` is set, else as float; uint32 stays. A single part may be called "". Raises
-    InputError if the path cannot be written, ValueError if shapes differ (all parts share one display window).
+    Floats are written as half if ``half`` is set, else as float; uint32 stays. A single part may be called "". turn: of
+    the photograph, for cameras of other programs. Raises InputError if the path cannot be written, ValueError if shapes
+    differ (all parts share one display window).
     """
     import OpenEXR
 
@@ -148,6 +151,7 @@ def write_exr(path: Path | str, parts: Mapping[str, Mapping[str, np.ndarray]], h
     if len({np.shape(array) for channels in parts.values() for array in channels.values()}) != 1:
         raise ValueError(f"{path}: all channels of an EXR file must have one shape, and there must be some")
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    header |= dict(zip(TURN_NAMES, turn or (), strict=False))
     exr_parts = [
         OpenEXR.Part(dict(header), {c: _stored(array, half) for c, array in channels.items()}, name)
         for name, channels in parts.items()

@@ -9,6 +9,7 @@ import struct
 from dataclasses import dataclass
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
+from typing import NamedTuple
 
 from ..errors import CaptureError
 from .headers import read_bytes, truncated
@@ -18,6 +19,17 @@ _TILED, _DEEP, _MULTI_PART = 0x200, 0x800, 0x1000
 _PIXEL_TYPES = {0: "uint", 1: "half", 2: "float"}
 # Compression byte of the header → scan lines in a chunk.
 _LINES = {0: 1, 1: 1, 2: 1, 3: 16, 4: 32, 5: 16, 6: 32, 7: 32, 8: 32, 9: 256}
+TURN_NAMES = "irpsoOrientation", "irpsoTurnedBy"  # attributes of an EXR for the fields of Turn
+
+
+class Turn(NamedTuple):
+    """How a picture was turned upright. tag: EXIF orientation in the file of the camera, 1 to 8.
+
+    turned_by: the orientation by which our own reading turned the stored picture, 1 where a decoder did, as of HEIC.
+    """
+
+    tag: int
+    turned_by: int
 
 
 @dataclass(frozen=True)
@@ -26,6 +38,7 @@ class ExrPart:
 
     subsampled: whether a channel has fewer samples than pixels. chromaticities: x and y of red, green, blue and white;
     None where the file does not state them. colour_space: its colorInteropID, which Blender 5 writes instead; or "".
+    turn: of the photograph that it was developed from; None where the file does not state it.
     """
 
     name: str
@@ -35,6 +48,7 @@ class ExrPart:
     subsampled: bool
     chromaticities: tuple[float, ...] | None = None
     colour_space: str = ""
+    turn: Turn | None = None
 
 
 def is_exr(path: Path) -> bool:
@@ -131,4 +145,12 @@ def _part(path: Path, header: dict[str, bytes]) -> ExrPart:
         raise CaptureError(f"{path}: says it has no pixels; export it again", "image_unknown")
     primaries = struct.unpack("<8f", header["chromaticities"]) if "chromaticities" in header else None
     space = header.get("colorInteropID", b"").rstrip(b"\0").decode()
-    return ExrPart(header.get("name", b"").decode(), channels, x1 - x0 + 1, y1 - y0 + 1, subsampled, primaries, space)
+    name, size = header.get("name", b"").decode(), (x1 - x0 + 1, y1 - y0 + 1)
+    return ExrPart(name, channels, *size, subsampled, primaries, space, _turn(header))
+
+
+def _turn(header: dict[str, bytes]) -> Turn | None:
+    if not all(name in header for name in TURN_NAMES):
+        return None
+    turn = Turn(*(struct.unpack("<i", header[name])[0] for name in TURN_NAMES))
+    return turn if all(1 <= orientation <= 8 for orientation in turn) else None

@@ -14,7 +14,7 @@ from ..errors import CaptureError
 from .colour_profile import ColourProfile, ProfileError, adobe_rgb, profile_of_gamma, profile_of_h273, profile_of_icc
 from .exif import Exposure, exposure_of
 from .exr import ExrImage, colour_channels, load_exr, samples_of_exr
-from .exr_header import ExrPart, is_exr, read_exr_header
+from .exr_header import ExrPart, Turn, is_exr, read_exr_header
 from .headers import ImageHeader, missing, read_bytes, read_header
 from .heif import SUFFIXES as HEIF_SUFFIXES
 from .heif import decode_heif
@@ -144,18 +144,28 @@ class ImageStore:
         """Return the EXIF orientation that reading a file applies, 1 for none."""
         return 1 if is_exr(image.path) or is_raw(image.path) else self._header(image.path).orientation
 
-    def tag(self, image: ImageRef) -> int | None:
-        """Return the EXIF orientation as a file has it, also where its decoder applies it; None for an EXR."""
+    def turn(self, image: ImageRef) -> Turn | None:
+        """Return how a picture is turned from its stored state; of an EXR as ``develop`` recorded it, else None.
+
+        Of HEIC files ``turned_by`` is 1, as other programs see them upright.
+        """
         if is_exr(image.path):
-            return None
-        return (self._raw_header(image.path) if is_raw(image.path) else self._header(image.path)).tag
+            return self._part(image).turn
+        if is_raw(image.path):
+            tag = self._raw_header(image.path).tag
+            return Turn(tag, tag)
+        header = self._header(image.path)
+        return Turn(header.tag, header.orientation)
+
+    def tag(self, image: ImageRef) -> int | None:
+        """Return the EXIF orientation of the camera's file, also where its decoder applies it; None if unknown."""
+        turn = self.turn(image)
+        return None if turn is None else turn.tag
 
     def turned_by(self, image: ImageRef) -> int:
-        """Return the EXIF orientation by which reading turns a file as it is stored, 1 for none.
-
-        Of HEIC files it is 1, as other programs see them upright.
-        """
-        return (self.tag(image) or 1) if is_raw(image.path) else self.orientation(image)
+        """Return the EXIF orientation by which a camera's stored picture was turned, 1 for none or an unknown one."""
+        turn = self.turn(image)
+        return 1 if turn is None else turn.turned_by
 
     def exposure(self, image: ImageRef) -> Exposure | None:
         """Return the exposure by EXIF, None without one. Raises CaptureError if the file cannot be read."""

@@ -21,12 +21,14 @@ class Picture:
 
     values: (H, W, C) float32 with C of 1 (grey), 2 (grey, alpha), 3 (RGB) or 4 (RGB, straight alpha), row 0 at the
     bottom. An integer file's values are code / largest code, in 0…1, not linearised. bits: 8, 10, 12 or 16 of integer
-    files, 32 of floats. profile: the file's, other than sRGB, or None.
+    files, 32 of floats. profile: the file's, other than sRGB, or None. top: value of the largest code, above 1 for raw
+    files whose white balance has made room above the brightest grey.
     """
 
     values: np.ndarray
     bits: int
     profile: ColourProfile | None = None
+    top: float = 1.0
 
 
 # Reads an image that is no EXR from its path and applies its orientation tag. Raises InputError naming the file.
@@ -65,7 +67,7 @@ def samples_of_picture(picture: Picture, colour_space: str = "auto") -> Samples:
     clipped = np.zeros(colour.shape, bool)
     if picture.bits < 32:
         # Half a code below the top, for decoders that scale with rounding.
-        clipped = colour >= 1 - 0.5 / (2**picture.bits - 1)
+        clipped = colour >= picture.top * (1 - 0.5 / (2**picture.bits - 1))
         if picture.bits < 16 or (profile and profile.mixes):
             clipped |= _any(clipped)[..., None]
     if profile:
@@ -126,7 +128,8 @@ def mask_of_picture(picture: Picture) -> np.ndarray:
 
 def _linear_codes(colour: np.ndarray, bits: int) -> np.ndarray:
     """Return linear values of an integer file's sRGB values, by a table of ``linear_from_srgb`` of each code."""
-    return _table(bits)[np.rint(colour * np.float32(2**bits - 1)).astype(np.uint16)]
+    largest = np.float32(2**bits - 1)
+    return _table(bits)[np.minimum(np.rint(colour * largest), largest).astype(np.uint16)]
 
 
 def _table(bits: int) -> np.ndarray:

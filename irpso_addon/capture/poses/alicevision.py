@@ -16,7 +16,7 @@ import numpy as np
 
 from ..camera import is_rotation
 from ..errors import CaptureError
-from .posed import Lens, PoseFile, camera_from_vision, moved
+from .posed import Lens, PoseFile, camera_from_vision, moved, stated_orientation
 
 # Distortion model, by either of its names → OpenCV's names of its parameters, in order.
 _DISTORTIONS = {
@@ -43,6 +43,7 @@ def read_alicevision(path: Path) -> PoseFile:
     lenses = {_text(row, "intrinsicId", path): _lens(row, version, path) for row in _rows(table, "intrinsics", path)}
     poses = {_text(row, "poseId", path): _pose(row, path) for row in _rows(table, "poses", path)}
     cameras, unusable = {}, {}
+    orientations: dict[str, int] = {}
     for view in _rows(table, "views", path):
         name = _text(view, "path", path)
         where = f"{path}: view '{name}'"
@@ -60,7 +61,9 @@ def read_alicevision(path: Path) -> PoseFile:
         else:
             camera = camera_from_vision(*lens, *pose)
             cameras[name] = moved(camera, _MESH_TURN) if version >= _MESH_TURNED_SINCE else camera
-    return PoseFile(path, "AliceVision", cameras, unusable)
+            tags = view["metadata"] if isinstance(view.get("metadata"), dict) else {}
+            orientations |= stated_orientation(name, tags.get("Exif:Orientation", tags.get("Orientation")))
+    return PoseFile(path, "AliceVision", cameras, unusable, orientations)
 
 
 def _parsed(path: Path) -> dict[str, Any]:
@@ -81,8 +84,10 @@ def _lens(row: dict[str, Any], version: tuple[int, ...], path: Path) -> Lens | s
     distortion, reverse = (
         str(row.get(key, default)).lower() for key, default in (("distortionType", kind), ("undistortionType", "none"))
     )
-    odd = next((name for name in (kind, distortion) if name not in _DISTORTIONS), reverse if reverse != "none" else "")
-    if odd or not kind:
+    odd = next(
+        (name for name in (kind, distortion) if name not in _DISTORTIONS), reverse if reverse != "none" else None
+    )
+    if odd is not None:
         return f"has intrinsics of type '{odd}', which is not read; choose pinhole, radialk1, radialk3 or brown"
     names = _DISTORTIONS[distortion]
     if abs(float(_value(row.get("pixelRatio", 1), f"{where}: pixelRatio")) - 1) > 1e-6:
@@ -151,7 +156,7 @@ def _numbers(row: dict[str, Any], key: str, count: int, where: str) -> list[floa
 def _value(value: Any, where: str) -> float:
     try:
         number = float(value)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise CaptureError(f"{where} must be a number; {_AGAIN}", "not_number") from error
     if not np.isfinite(number):
         raise CaptureError(f"{where} must be a finite number; {_AGAIN}", "not_number")

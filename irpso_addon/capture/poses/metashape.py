@@ -17,7 +17,7 @@ import numpy as np
 
 from ..camera import Camera, is_rotation
 from ..errors import CaptureError
-from .posed import Lens, PoseFile, camera_from_vision, similarity
+from .posed import Lens, PoseFile, camera_from_vision, similarity, stated_orientation
 
 _AGAIN = "export the cameras again (File > Export > Export Cameras, Agisoft XML)"
 _NEGLIGIBLE = 0.1  # pixels at the image's corners: largest ignored effect of an unsupported term
@@ -29,9 +29,9 @@ _EARTH = ("GEOGCS", "GEOCCS", "PROJCS", "GEODCRS", "PROJCRS", "COMPD_CS")  # WKT
 def read_metashape(path: Path) -> PoseFile:
     """Return the cameras of a Metashape XML file in the world of its exported models (scale of the chunk applied).
 
-    Disabled and unaligned cameras are unusable, and slave cameras of multi-camera systems: the file gives only their
-    sensor's offset from the master camera. Raises CaptureError if the file is damaged, or its world is a map of
-    the Earth.
+    Disabled and unaligned cameras are unusable, those of other components than the active one, and slave cameras of
+    multi-camera systems: the file gives only their sensor's offset from the master camera. Raises CaptureError if the
+    file is damaged, or its world is a map of the Earth.
     """
     root = _parsed(path)
     chunks = [root] if root.tag == "chunk" else root.findall("chunk")
@@ -47,23 +47,18 @@ def read_metashape(path: Path) -> PoseFile:
         )
     sensors = {sensor.get("id"): sensor for sensor in chunk.iterfind("sensors/sensor")}
     places = {part.get("id"): part.find("transform") for part in chunk.iterfind("components/component")}
+    others = _other_components(chunk.find("components"))
     cameras: dict[str, Camera] = {}
     unusable: dict[str, str] = {}
+    orientations: dict[str, int] = {}
     for element in chunk.iterfind("cameras//camera"):
         name = element.get("label") or f"camera {element.get('id')}"
         where = f"{path}: camera '{name}'"
         if name in cameras or name in unusable:
             cameras.pop(name, None)
             unusable[name] = "is the name of several photographs; give them different labels in Metashape"
-        elif (element.get("enabled") or "true").lower() in _NO:
-            unusable[name] = "is disabled; enable it in Metashape and export again"
-        elif element.find("transform") is None and "master_id" in element.attrib:
-            unusable[name] = (
-                "is a slave camera of a multi-camera system, whose poses are not read; add the photographs to Metashape"
-                " as single cameras, align them, and export again"
-            )
-        elif element.find("transform") is None:
-            unusable[name] = "was not aligned; align it in Metashape and export again"
+        elif why := _why_unusable(element, others):
+            unusable[name] = why
         else:
             sensor = sensors.get(element.get("sensor_id"))
             if sensor is None:
@@ -75,7 +70,41 @@ def read_metashape(path: Path) -> PoseFile:
                 unusable[name] = lens
             else:
                 cameras[name] = camera_from_vision(*lens, *_pose(element, world, where))
-    return PoseFile(path, "Metashape", cameras, unusable)
+                orientations |= stated_orientation(name, element.findtext("orientation"))
+    return PoseFile(path, "Metashape", cameras, unusable, orientations)
+
+
+def _other_components(components: ElementTree.Element | None) -> set[str | None]:
+    """Return the numbers of the components that share no world with the model.
+
+    An alignment in parts without common points makes several components. The model is that of the active one. Without
+    a stated one, a component that has no transform lies elsewhere than those that have one.
+    """
+    parts = {} if components is None else {part.get("id"): part for part in components.iterfind("component")}
+    active = None if components is None else components.get("active_id")
+    if active in parts:
+        return parts.keys() - {active}
+    placed = {number for number, part in parts.items() if part.find("transform") is not None}
+    return parts.keys() - placed if placed else set()
+
+
+def _why_unusable(element: ElementTree.Element, other_components: set[str | None]) -> str:
+    """Return the reason why a camera has no usable pose, "" for none."""
+    if (element.get("enabled") or "true").lower() in _NO:
+        return "is disabled; enable it in Metashape and export again"
+    if element.find("transform") is None and "master_id" in element.attrib:
+        return (
+            "is a slave camera of a multi-camera system, whose poses are not read; add the photographs to Metashape"
+            " as single cameras, align them, and export again"
+        )
+    if element.find("transform") is None:
+        return "was not aligned; align it in Metashape and export again"
+    if element.get("component_id") in other_components:
+        return (
+            "was aligned in another component than the model's, with a place and scale of its own; in Metashape align"
+            " or merge the components, or make its component the active one, and export cameras and model again"
+        )
+    return ""
 
 
 def _parsed(path: Path) -> ElementTree.Element:
@@ -92,17 +121,21 @@ def _parsed(path: Path) -> ElementTree.Element:
         return ElementTree.fromstring(data)
     except (expat.ExpatError, ElementTree.ParseError) as error:
         raise CaptureError(f"{path}: is cut short or no XML ({error}); {_AGAIN}", "not_text") from error
+    except (ValueError, LookupError) as error:  # of the declared encoding
+        raise CaptureError(
+            f"{path}: has an encoding that is not read ({error}); save it as UTF-8", "not_text"
+        ) from error
 
 
 def _lens(sensor: ElementTree.Element, where: str) -> Lens | str:
     """Return (size, focal length, centre, distortion), or the reason why the sensor is unsupported."""
     items = sensor.findall("calibration")
     calibration = next((item for item in items if item.get("class") == "adjusted"), items[0] if items else None)
-    if calibration is None:
-        raise CaptureError(f"{where}: has no calibration; {_AGAIN}", "camera")
-    kind = calibration.get("type") or sensor.get("type") or "frame"
-    if kind != "frame":
+    kind = sensor.get("type") if calibration is None else calibration.get("type") or sensor.get("type")
+    if kind not in (None, "frame"):
         return f"has a lens of type {kind}; only frame cameras are read: export undistorted photographs from Metashape"
+    if calibration is None:
+        return "has a sensor without a calibration; align its photographs in Metashape and export again"
     resolution = calibration.find("resolution")
     resolution = sensor.find("resolution") if resolution is None else resolution
     if resolution is None:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from functools import cache
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cache, cached_property
 from operator import eq
 from os.path import commonprefix
 from pathlib import Path, PurePosixPath, PureWindowsPath
+from unicodedata import normalize
 
 import numpy as np
 
 from ...core.errors import some
 from ..camera import Camera, is_rotation
 from ..errors import CaptureError
+from ..images.exr_header import Turn
 
 # EXIF orientation (2.3, tag 274) → quarter turns clockwise from the stored to the upright image; the others mirror.
 _TURNS = {1: 0, 6: 1, 3: 2, 8: 3}
@@ -25,17 +27,20 @@ _BACK = np.diag([1.0, -1.0, -1.0])  # y down and z away, as in computer vision, 
 class PoseFile:
     """Cameras of one file or folder. program: its writer. cameras: image name in the file → Camera.
 
-    unusable: image name → reason why its camera cannot be used.
+    unusable: image name → reason why its camera cannot be used. orientations: image name → EXIF orientation of the
+    aligned photograph, where the program states it.
     """
 
     path: Path
     program: str
     cameras: Mapping[str, Camera]
     unusable: Mapping[str, str]
+    orientations: Mapping[str, int] = field(default_factory=dict)
 
     def name_of(self, image_name: str, where: str) -> str:
         """Return the name of an image's camera: equal, else equal without case, else without suffix and case.
 
+        Without case accents count alike, alone or as a part of their letter (Unicode NFC), as macOS writes them.
         Folders that only one of the two names has, or that all cameras share, are ignored; others must agree from the
         last on.
         Raises CaptureError, beginning with ``where``, for none or several.
@@ -55,17 +60,28 @@ class PoseFile:
         raise CaptureError(f"{where}: its camera should be in {self.path}: {why}", "camera")
 
     def _matches(self, image_name: str) -> list[str]:
-        names = [*self.cameras, *self.unusable]
-        if image_name in names:
+        if image_name in self.cameras or image_name in self.unusable:
             return [image_name]
-        # The folders that all share say nothing: the photographs may have moved, or been developed, since.
-        shared = len(commonprefix([path_parts(name)[:-1] for name in names]))
-        for key in (tuple, _lower, lambda parts: (*_lower(parts[:-1]), PurePosixPath(parts[-1].lower()).stem)):
+        for key, names in zip(_KEYS, self._names_by_last, strict=True):
             wanted = key(path_parts(image_name))
-            parts = {name: key(path_parts(name)[shared:]) for name in names}
-            if matches := [name for name in names if all(map(eq, parts[name][::-1], wanted[::-1]))]:
+            if matches := [name for name, parts in names.get(wanted[-1], ()) if _agree(parts, wanted)]:
                 return matches
         return []
+
+    @cached_property
+    def _names_by_last(self) -> list[dict[str, list[tuple[str, tuple[str, ...]]]]]:
+        """Return for each of _KEYS: last part of a name → the names that end with it, with their parts.
+
+        The folders that all share say nothing: the photographs may have moved, or been developed, since.
+        """
+        names = [*self.cameras, *self.unusable]
+        shared = len(commonprefix([path_parts(name)[:-1] for name in names]))
+        tables: list[dict[str, list[tuple[str, tuple[str, ...]]]]] = [{} for _ in _KEYS]
+        for table, key in zip(tables, _KEYS, strict=True):
+            for name in names:
+                parts = key(path_parts(name)[shared:])
+                table.setdefault(parts[-1], []).append((name, parts))
+        return tables
 
 
 # (width, height), focal length, centre, distortion: see camera_from_vision.
@@ -91,6 +107,11 @@ def camera_from_vision(
     while distortion and distortion[-1] == 0:
         distortion = distortion[:-1]
     return Camera(*size, focal, (centre[0], size[1] - centre[1]), matrix, True, distortion)
+
+
+def stated_orientation(name: str, text: object) -> dict[str, int]:
+    """Return an entry of PoseFile.orientations; {} if the text is no EXIF orientation."""
+    return {name: int(str(text))} if str(text).strip() in tuple("12345678") else {}
 
 
 def similarity(matrix: np.ndarray, where: str) -> np.ndarray:
@@ -129,6 +150,13 @@ def upright_camera(camera: Camera, width: int, height: int, orientation: int, wh
         for _ in range(_TURNS[orientation]):
             camera = _quarter_turn(camera)
     if not _fits(camera, width, height):
+        if _fits(camera, height, width):
+            raise CaptureError(
+                f"{where}: the picture is upright ({width}×{height} pixels), its camera that of the stored one"
+                f" ({camera.width}×{camera.height}), and its file has no EXIF orientation; give the photograph as the"
+                " camera stored it, or one that this irpso develop has written",
+                "size",
+            )
         raise CaptureError(
             f"{where}: the picture is {width}×{height} pixels, its camera {camera.width}×{camera.height}; align the"
             " uncropped pictures that the capture names",
@@ -139,6 +167,44 @@ def upright_camera(camera: Camera, width: int, height: int, orientation: int, wh
         camera, width=width, height=height, scale=(camera.scale[0] * x, camera.scale[1] * y),
         centre=(camera.centre[0] * x, camera.centre[1] * y),
     )  # fmt: skip
+
+
+def turn_of_camera(camera: Camera, turn: Turn) -> int:
+    """Return the EXIF orientation by which the camera of a stored picture is turned, for ``upright_camera``.
+
+    If the program turned a HEIC file by a quarter, too, its size shows it, unless the picture is a square.
+    """
+    return turn.tag if _size_tells(camera, turn.tag) else turn.turned_by
+
+
+def turn_doubt(poses: PoseFile, name: str, turn: Turn, where: str) -> str:
+    """Return a warning if a picture may be turned against the photograph of its camera ``name``, else "".
+
+    turn: of the picture. Raises CaptureError for HEIC files of COLMAP, which reads them as stored (Bitmap::Read
+    switches OpenImageIO's oiio:reorient off), unless other libraries than ours turn them nevertheless.
+    """
+    camera, aligned = poses.cameras[name], poses.orientations.get(name, turn.turned_by)
+    if turn.tag != turn.turned_by:
+        if _size_tells(camera, turn.tag):
+            return ""
+        what = f"{where}: a HEIC file has the EXIF orientation {turn.tag}, and {poses.program} may not have applied it;"
+        if poses.program == "COLMAP":
+            raise CaptureError(f"{what} convert the photographs to JPEG, align those, and give them", "orientation")
+        return f"{what} it is read as if it had: if the result is upside down, convert to JPEG, and align again"
+    if 1 not in (aligned, turn.turned_by) or _size_tells(camera, max(aligned, turn.turned_by)):
+        return ""
+    if aligned == turn.turned_by:
+        return ""
+    return (
+        f"{where}: {poses.program} aligned a photograph of EXIF orientation {aligned}, and the capture's picture has"
+        f" {turn.turned_by}; if a program turned its pixels, it is read turned: give the photograph as the camera"
+        " stored it, or one that this irpso develop has written"
+    )
+
+
+def _size_tells(camera: Camera, orientation: int) -> bool:
+    """Return whether a picture's size shows if it was turned by an EXIF orientation: no square, a quarter turn."""
+    return bool(_TURNS.get(orientation, 0) % 2) and camera.width != camera.height
 
 
 def _fits(camera: Camera, width: int, height: int) -> bool:
@@ -163,4 +229,18 @@ def path_parts(name: str) -> tuple[str, ...]:
 
 
 def _lower(parts: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(part.lower() for part in parts)
+    return tuple(normalize("NFC", part.lower()) for part in parts)
+
+
+def _without_suffix(parts: tuple[str, ...]) -> tuple[str, ...]:
+    *folders, last = _lower(parts)
+    return (*folders, PurePosixPath(last).stem)
+
+
+def _agree(parts: tuple[str, ...], wanted: tuple[str, ...]) -> bool:
+    """Return whether two paths agree from their last parts on, as far as both go."""
+    return all(map(eq, parts[::-1], wanted[::-1]))
+
+
+# What two names are compared by, the strictest first: parts of a path → parts.
+_KEYS: tuple[Callable[[tuple[str, ...]], tuple[str, ...]], ...] = (tuple, _lower, _without_suffix)

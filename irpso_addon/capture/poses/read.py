@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ..distortion import MAX_COEFFICIENT
 from ..errors import CaptureError
 from . import alicevision, colmap, metashape
 from .posed import PoseFile
@@ -35,4 +36,9 @@ def read_poses(path: Path | str) -> PoseFile:
         name, why = next(iter(poses.unusable.items()), ("", ""))
         what = f"none of its cameras can be used: '{name}' {why}" if why else "holds no camera; align the photographs"
         raise CaptureError(f"{path}: {what}", "camera")
+    for name, camera in poses.cameras.items():
+        if max(map(abs, camera.distortion), default=0) > MAX_COEFFICIENT:
+            raise CaptureError(
+                f"{path}: camera '{name}': its distortion is no lens's; export the cameras again", "camera"
+            )
     return poses

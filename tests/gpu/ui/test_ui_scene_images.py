@@ -4,7 +4,10 @@ import bpy
 import numpy as np
 import pytest
 
+from irpso_addon.blender.scenes.scene_images import open_photograph, stored_orientation
 from irpso_addon.capture import write_exr
+from irpso_addon.capture.images.exr_header import Turn
+from irpso_addon.capture.images.image import ImageStore
 from irpso_addon.capture.noise import USUAL
 from irpso_addon.core.errors import InputError
 from irpso_addon.geometry.build import domain_from_card
@@ -53,6 +56,22 @@ def test_packing_a_raw_photograph_changes_nothing(scene, tmp_path):
     image.pack()
     (packed,) = scene_capture.capture_from_scene(scene).observations
     np.testing.assert_array_equal(packed.read(), before)
+
+
+@pytest.mark.parametrize("how", ["file", "packed", "painted"])
+def test_a_developed_photograph_is_upright_and_says_how_it_was_turned(scene, tmp_path, how):
+    """Its camera, of the stored photograph, is turned; its pixels are not, in the file and in Blender."""
+    pixels = RNG.random((7, 9)).astype(np.float32)
+    write_exr(tmp_path / "a.exr", {"": dict.fromkeys("RGB", pixels)}, turn=Turn(6, 6))
+    image = image_of(tmp_path / "a.exr")
+    if how == "packed":
+        image.pack()
+    elif how == "painted":
+        image.pixels[0] = image.pixels[0]
+    photograph = open_photograph(image, "light 'Key'", ImageStore())
+    assert (photograph.size, photograph.turned_by) == ((9, 7), 6) and image.is_dirty == (how == "painted")
+    np.testing.assert_allclose(photograph.read().rgba[..., 0], pixels, atol=1e-6)
+    assert stored_orientation(image) == 1
 
 
 def test_an_eight_bit_image_that_is_set_to_non_color_is_linear(scene, tmp_path):

@@ -225,6 +225,8 @@ def test_a_capture_with_distortion_spots_and_flat_lamps_comes_back(tmp_path):
         ("fov_degrees = 40\ndistortion = []", LIT, "up to 8 numbers"),
         (f"fov_degrees = 40\ndistortion = {[0.1] * 9}", LIT, "up to 8 numbers"),
         ("fov_degrees = 40\ndistortion = [nan]", LIT, "finite numbers only"),
+        ("fov_degrees = 40\ndistortion = [1e308]", LIT, "finite numbers only"),
+        (f"fov_degrees = 40\ndistortion = [{10**400}]", LIT, "up to 8 numbers"),
         ("world_width = 2\ndistortion = [0.1]", LIT, "distortion is for perspective cameras"),
         ("", LIT + "light_axis = [0, 0, 1]", "observation 1: light_axis is for a light_position"),
         ("", "light_position = [0, 0, 1]\nlight_cone_degrees = 20", "light_cone_degrees needs light_axis"),

@@ -282,12 +282,23 @@ def test_a_table_names_what_is_used_of_its_pictures(tmp_path):
         ({"corners": ((10, 10), (90, 10), (70, 50), (10, 50))}, "outside the picture"),
         ({"corners": ((10, 50), (70, 50), (70, 10), (10, 10))}, "clockwise"),
         ({"corners": ((10, 10), (70, 10), (40, 50), (5, 50))}, "right angle"),
+        # Two that nearly coincide are a card seen from its edge: a picture of gigabytes.
+        ({"corners": ((10, 10), (70, 10), (70, 10.001), (10, 50))}, r"would have \d+×\d+ pixels, as one seen almost"),
+        ({"corners": ((10, 10), (70, 10), (70, 11), (10, 50))}, "seen almost from its edge; check if two of them"),
         ({"scale": 0.01}, "less than 4 of 80 pixels; give 0.05 or more"),
     ],
 )
 def test_a_part_that_is_none_is_refused(framing, said):
     with pytest.raises(CaptureError, match=said):
         framed(capture_of(noise()), Framing(**framing))
+
+
+@pytest.mark.parametrize("corners", [((20, 10), (40, 10), (40, 30), (20, 30)), ((1, 1), (79, 1), (79, 59), (1, 59))])
+def test_corners_beyond_what_a_lens_shows_are_refused(corners):
+    """r (1 − 0.9 r²) has its largest value, 0.41, at r = 0.61: no ray reaches the picture farther out."""
+    lens = Camera(WIDTH, HEIGHT, (30.0, 30.0), (40.0, 30.0), WORLD, True, (-0.9,))
+    with pytest.raises(CaptureError, match="corners: one lies where a lens of this distortion shows nothing; check"):
+        framed(capture_of(noise(), lens), Framing(corners=corners))
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from irpso_addon.capture import CaptureError, read_capture
+from irpso_addon.capture.bounds import weight_and_clipped
 from irpso_addon.capture.images.exif import Exposure, exposure_of
+from irpso_addon.capture.images.image import ImageRef, ImageStore
 from irpso_addon.capture.images.raw import decode_raw, is_raw, raw_header
 from tests.builders.captures import LIGHTS, chunk, write_png
-from tests.builders.exif import bayer, dng, exif, jpeg
+from tests.builders.exif import XYZ_TO_REC709, bayer, dng, exif, jpeg
 
 Y, X = np.mgrid[:40, :60]
 SCENE = np.stack([0.2 + 0.5 * X / 60, 0.3 + 0.3 * Y / 40, 0.4 + 0 * X], axis=-1)  # top row first
@@ -57,6 +59,7 @@ class _File:
     camera_white_level_per_channel = None
     white_level, black_level_per_channel = 1000, [100] * 4
     raw_image_visible = np.full((8, 12), 300)
+    camera_whitebalance = [1.0, 1.0, 1.0, 0.0]
 
     def __enter__(self):
         return self
@@ -76,6 +79,7 @@ def rawpy_stub(monkeypatch):
     module.imread = lambda path: _File()
     module.LibRawError = type("LibRawError", (Exception,), {})
     module.ColorSpace = types.SimpleNamespace(sRGB="Rec. 709")
+    module.HighlightMode = types.SimpleNamespace(Clip="clip", Ignore="ignore")
     monkeypatch.setitem(sys.modules, "rawpy", module)
     return module
 
@@ -141,6 +145,55 @@ def test_libraw_turns_pictures_and_clipped_places_alike(tmp_path, orientation):
     assert raw_header(path) == (found.shape[1], found.shape[0], orientation) == (*size, orientation)
     bright, bad = (found[..., :3] > 0.99).all(axis=-1), found[..., 3] == 0
     assert bright.any() and not (bright & ~bad).any() and bad.sum() == (3 + 4) * (4 + 4)
+
+
+# Rec. 709 to a camera whose filters overlap, before its white balance.
+MIXED = np.array([[0.62, 0.30, 0.08], [0.20, 0.68, 0.12], [0.06, 0.30, 0.64]])
+
+
+@pytest.mark.parametrize("mosaic", [True, False])
+@pytest.mark.parametrize(
+    "radiance", [(0.4, 0.4, 0.4), (1.2, 0.1, 0.05), (1.9, 0.3, 0.1), (0.1, 0.2, 1.4), (0.9, 1.0, 0.9)]
+)
+def test_libraws_white_balance_clips_no_unsaturated_colour(tmp_path, radiance, mosaic):
+    pytest.importorskip("rawpy", reason="the extra rawpy is not installed")
+    neutral = np.array([0.5, 1.0, 0.6])  # multipliers of 2, 1 and 1.67
+    photosites = neutral * (MIXED @ radiance)
+    assert photosites.max() < 0.98
+    rgb = np.ones((32, 32, 3)) * photosites
+    codes = np.rint((bayer(rgb) if mosaic else rgb) * 65535).astype(int)
+    path, matrix = tmp_path / "a.dng", np.diag(neutral) @ MIXED @ XYZ_TO_REC709
+    path.write_bytes(dng(codes, neutral=neutral, matrix=matrix))
+    samples = ImageStore().samples(ImageRef(path))
+    np.testing.assert_allclose(samples.bounds[8:-8, 8:-8], np.broadcast_to((*radiance, 1), (16, 16, 4)), atol=2e-3)
+
+
+def test_libraw_marks_a_colour_beyond_its_range_as_a_lower_bound(tmp_path):
+    """Of a strong red the sensor still has room, but not LibRaw's 16 bits after the matrix."""
+    pytest.importorskip("rawpy", reason="the extra rawpy is not installed")
+    neutral, radiance = np.array([0.5, 1.0, 0.6]), (2.4, 0.3, 0.1)
+    codes = np.rint(bayer(np.ones((32, 32, 3)) * neutral * (MIXED @ radiance)) * 65535).astype(int)
+    path = tmp_path / "a.dng"
+    path.write_bytes(dng(codes, neutral=neutral, matrix=np.diag(neutral) @ MIXED @ XYZ_TO_REC709))
+    samples = ImageStore().samples(ImageRef(path))
+    weight, clipped = weight_and_clipped(samples.bounds[8:-8, 8:-8, 3])
+    assert (weight == 1).all() and (clipped == (True, False, False)).all()
+    np.testing.assert_allclose(samples.bounds[8:-8, 8:-8, :3] - (2, 0.3, 0.1), 0, atol=2e-3)
+
+
+@pytest.mark.parametrize("orientation", [1, 3, 6, 8])
+def test_libraw_reads_linear_files_whose_clipped_pixels_do_not_spread(tmp_path, orientation):
+    """As ProRAW and demosaiced DNG files are; rows and columns go where the tag's definition in EXIF 2.3 says."""
+    pytest.importorskip("rawpy", reason="the extra rawpy is not installed")
+    scene = 0.8 * SCENE
+    scene[5:8, 40:44, 1] = 1
+    path = tmp_path / "a.dng"
+    path.write_bytes(dng(np.rint(scene * 60000).astype(int), 0, 60000, orientation=orientation))
+    turn = {1: lambda v: v, 3: lambda v: v[::-1, ::-1], 6: lambda v: np.rot90(v, -1), 8: np.rot90}[orientation]
+    found = decode_raw(path).values[::-1]
+    weighted = turn(scene[..., 1] < 1)
+    np.testing.assert_array_equal(found[..., 3], weighted)
+    np.testing.assert_allclose(found[weighted][:, :3], turn(scene)[weighted], atol=1e-3)
 
 
 def test_libraw_refuses_a_cut_file_by_name(tmp_path):

@@ -1,12 +1,13 @@
 """Cameras of other programs: files written by hand from the formats' documentation, known points on known pixels."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from irpso_addon.capture import CaptureError
-from irpso_addon.capture.poses import moved, read_poses, similarity, upright_camera
+from irpso_addon.capture.poses import PoseFile, moved, posed, read_poses, similarity, upright_camera
 from tests.builders.poses import (
     CENTRE,
     CHUNK,
@@ -140,6 +141,48 @@ def test_a_slave_camera_of_a_rig_is_named_as_such(tmp_path):
         found.name_of("NIR.TIF", "here")
 
 
+PLACED = COMPONENT.replace("<components>", '<components active_id="{}">').replace("</components>", "{}</components>")
+
+
+@pytest.mark.parametrize(
+    ("world", "other", "used"),
+    [
+        (PLACED.format(0, '<component id="1"><region/></component>'), 1, True),
+        (COMPONENT.replace("</components>", '<component id="1"/></components>'), 1, True),  # none is said to be active
+        (PLACED.format(1, '<component id="1"/>'), 0, False),
+        (PLACED.format(1, COMPONENT[12:-13].replace('id="0"', 'id="1"')), 0, False),
+        (COMPONENT.replace("<components>", '<components active_id="0">'), None, True),
+        ('<components active_id="7"><component id="0"/><component id="1"/></components>', None, True),
+    ],
+)
+def test_cameras_of_another_metashape_component_are_unusable(tmp_path, world, other, used):
+    """Components share no tie points: their places and scales have nothing to do with each other."""
+    camera = f'<camera id="8" sensor_id="0" component_id="1" label="B"><transform>{row(np.eye(4))}</transform></camera>'
+    found = read_poses(metashape(tmp_path / "a.xml", world=world, camera=camera))
+    unusable = {1: ["B"], 0: ["IMG_0001"], None: []}[other]
+    assert [name for name, why in found.unusable.items() if "another component than the model's" in why] == unusable
+    assert ("IMG_0001" in found.cameras) == used and ("B" in found.cameras) == (other != 1)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "words"),
+    [
+        (
+            '<sensor id="5" type="spherical"><resolution width="640" height="480"/></sensor>',
+            "a lens of type spherical; o",
+        ),
+        ('<sensor id="5" type="frame"/>', "a sensor without a calibration; align"),
+    ],
+)
+def test_a_metashape_sensor_without_a_calibration_leaves_the_other_cameras_usable(tmp_path, sensor, words):
+    """Spherical sensors have none, as in the file of issue 1634 of nerfstudio."""
+    camera = f'<camera id="8" sensor_id="5" label="B"><transform>{row(np.eye(4))}</transform></camera>'
+    path = metashape(tmp_path / "a.xml", camera=camera)
+    path.write_text(path.read_text().replace("</sensors>", f"{sensor}</sensors>"))
+    found = read_poses(path)
+    assert list(found.cameras) == ["IMG_0001"] and words in found.unusable["B"]
+
+
 def test_a_repeated_label_is_reported_only_if_used(tmp_path):
     other = f'<camera id="8" sensor_id="0" label="other"><transform>{row(np.eye(4))}</transform></camera>'
     again = '<camera id="9" sensor_id="0" label="IMG_0001"/><camera id="10" sensor_id="0" label="IMG_0001"/>'
@@ -214,6 +257,14 @@ def test_another_file_than_metashapes_is_reported(tmp_path, text, words):
         read_poses(path)
 
 
+@pytest.mark.parametrize("encoding", ["shift_jis", "x-unknown"])
+def test_an_xml_of_an_encoding_that_is_not_read_is_reported(tmp_path, encoding):
+    path = metashape(tmp_path / "cameras.xml")
+    path.write_text(path.read_text().replace("UTF-8", encoding))
+    with pytest.raises(CaptureError, match="cameras.xml: has an encoding that is not read .*; save it as UTF-8"):
+        read_poses(path)
+
+
 # ---- AliceVision
 
 
@@ -259,6 +310,13 @@ def test_views_without_a_pose_or_in_a_rig_are_named_as_such(tmp_path):
         ({"intrinsics": {"type": "fisheye4"}}, "intrinsics of type 'fisheye4', which is not read"),
         ({"intrinsics": {"type": "equidistant"}}, "'equidistant', which is not read"),
         ({"intrinsics": {"type": "pinhole", "distortionType": "3deradial4"}}, "'3deradial4', which is not read"),
+        ({"intrinsics": {"distortionType": ""}}, "intrinsics of type '', which is not read"),
+        ({"intrinsics": {"type": ""}}, "intrinsics of type '', which is not read"),
+        ({"intrinsics": {"focalLength": 10**400}}, "focalLength must be a number"),
+        (
+            {"intrinsics": {"distortionParams": ["1e308", "0", "0"]}},
+            "'/scan/IMG_0001.JPG': its distortion is no lens's",
+        ),
         ({"intrinsics": {"undistortionType": "3declassicld"}}, "'3declassicld', which is not read"),
         ({"intrinsics": {"pixelRatio": "1.5"}}, "oblong pixels"),
         ({"intrinsics": {"distortionParams": ["1"]}}, "intrinsics 31: distortionParams must be 3 numbers"),
@@ -375,6 +433,8 @@ def test_an_image_name_that_fits_several_cameras_must_be_whole(tmp_path):
         (["cam2\\1.jpg", "cam1\\2.jpg"], "cam1/1.jpg", None),
         (["cam2\\1.jpg", "cam1\\2.jpg"], "cam1/2.jpg", "cam1\\2.jpg"),
         (["1.jpg"], "cam1/1.jpg", "1.jpg"),
+        (["Bu\u0308ste"], "B\u00fcste.jpg", "Bu\u0308ste"),  # u and its dots, as macOS writes ü
+        (["B\u00dcSTE.JPG"], "bu\u0308ste.jpg", "B\u00dcSTE.JPG"),
         # Paths of another computer: only the folders that differ count.
         (["/scan/1.jpg", "/scan/2.jpg"], "developed/1.exr", "/scan/1.jpg"),
         (["/scan/cam1/2.jpg", "/scan/cam2/1.jpg"], "developed/cam1/1.exr", None),
@@ -388,6 +448,16 @@ def test_an_image_never_has_the_camera_of_another_folders_image(tmp_path, names,
         return
     with pytest.raises(CaptureError, match=f"^here: .*it has no '{image}'; set camera"):
         poses.name_of(image, "here")
+
+
+def test_names_are_prepared_once_for_all_photographs(monkeypatch):
+    calls = []
+    lower = posed._lower
+    monkeypatch.setattr(posed, "_lower", lambda parts: calls.append(parts) or lower(parts))
+    names = [f"IMG_{number:04}" for number in range(300)]
+    found = PoseFile(Path("a.xml"), "Metashape", dict.fromkeys(names, a_camera), {})
+    assert [found.name_of(f"photos/{name}.JPG", "here") for name in names] == names
+    assert len(calls) <= 5 * len(names)
 
 
 def test_an_image_that_fits_an_unusable_camera_as_well_has_no_other(tmp_path):
