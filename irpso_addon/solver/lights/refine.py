@@ -147,7 +147,7 @@ def light_steps(
         raise InputError(
             "no texel is lit by three observations, so the lights are not determined; give the intensities"
         )
-    if intensities and not any(p.is_normal and p.name in fixed for p in model.parameters):
+    if not any(p.is_normal and p.name in fixed for p in model.parameters):
         _check_count(domain.lights[chosen])
     search = _Search(
         texels, model, texel_schedule(schedule), seed, fixed_at(fixed, texels), chosen, intensities,
@@ -158,12 +158,12 @@ def light_steps(
 
 
 def _check_count(lights: np.ndarray) -> None:
-    """Raise InputError for fewer different lights (K, 4) than a free normal and albedo, and the intensities, need."""
+    """Raise InputError for fewer different lights (K, 4) than free normals and albedos leave anything to find in."""
     count = len(np.unique(np.round(lights, 4), axis=0))
     if count < _MIN_FREE_LIGHTS:
         raise InputError(
-            f"intensities: {count} different lights do not determine their intensities, as every texel fits any; give"
-            f" them, take {_MIN_FREE_LIGHTS} photographs or more, or fix the normals"
+            f"{count} different lights do not determine their intensities or directions, as every texel fits any; keep"
+            f" the given ones, take {_MIN_FREE_LIGHTS} photographs or more, or fix the normals"
         )
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ...capture.types import Capture
+from ...core.optional import present
 from ...core.steps import one_step
 from ...geometry.domain import Domain
 from ...reflectance.model import ReflectanceModel, load_model
@@ -28,6 +29,7 @@ RELIT_LINES = (  # with no, one and both figures
 )
 HIGHLIGHT = 1.5  # a highlight exceeds the diffuse reflection by this factor …
 _DARK = 0.02  # … and by this fraction of display white, to exceed noise
+_FEW, _SHARE = 10, 1e-3  # texels, and part of the compared ones: fewer highlights are not reported
 
 
 def spared(cameras: Sequence[int]) -> list[int]:
@@ -147,7 +149,7 @@ def _diffuse(domain: Domain, maps: Maps) -> tuple[ReflectanceModel, dict[str, np
 
 def _figures(names: Sequence[str], rows: Sequence[PreviewRow], bright: Sequence[np.ndarray]) -> dict[str, Any]:
     psnr = [image_psnr(row) for row in rows]
-    highlights = [image_psnr(replace(row, counted=row.compared & at)) for row, at in zip(rows, bright, strict=True)]
+    highlights = [_highlights_psnr(row, at) for row, at in zip(rows, bright, strict=True)]
     return {
         "relighting_psnr_db": dict(zip(names, map(_decibels, psnr), strict=True)),
         "relighting_highlights_psnr_db": dict(zip(names, map(_decibels, highlights), strict=True)),
@@ -155,6 +157,13 @@ def _figures(names: Sequence[str], rows: Sequence[PreviewRow], bright: Sequence[
         "relighting_highlights_mean_psnr_db": _mean(highlights),
         "relighting_highlights_factor": HIGHLIGHT,
     }
+
+
+def _highlights_psnr(row: PreviewRow, highlights: np.ndarray) -> float:
+    """Return the PSNR of highlights (H, W) bool, NaN for so few that they may be noise in shadows."""
+    compared = present(row.compared)
+    counted, least = compared & highlights, max(_FEW, _SHARE * np.count_nonzero(compared))
+    return image_psnr(replace(row, counted=counted)) if np.count_nonzero(counted) >= least else math.nan
 
 
 def _mean(values: Sequence[float]) -> float | None:

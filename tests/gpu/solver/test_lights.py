@@ -165,8 +165,10 @@ def test_lights_move_along_their_axes():
 
 def test_three_lights_do_not_determine_their_intensities_unless_normals_are_known():
     domain, truth = subject("lambert", 6, shape=(8, 8))
-    with pytest.raises(InputError, match="3 different lights do not determine their intensities"):
+    with pytest.raises(InputError, match="3 different lights do not determine their intensities or directions"):
         estimate_lights(subset(domain, [0, 1, 2]), LAMBERT)
+    with pytest.raises(InputError, match="3 different lights do not determine"):
+        estimate_lights(subset(domain, [0, 1, 2]), LAMBERT, intensities=False, refine_degrees=3)
     twice = subset(domain, [0, 1, 2, 2])
     with pytest.raises(InputError, match="3 different lights do not determine"):
         estimate_lights(twice, LAMBERT)

@@ -320,6 +320,8 @@ def test_the_standard_view_is_one_without_other_changes_of_colors(registered, na
 
     view = bpy.context.scene.view_settings
     view.view_transform, view.look = "Standard", "None"
+    if not hasattr(view, name):
+        pytest.skip("Blender before 4.3 has no white balance")
     assert keep.is_standard_view(bpy.context.scene)
     neutral = getattr(view, name)
     setattr(view, name, CHANGES[name])

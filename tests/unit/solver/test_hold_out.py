@@ -6,7 +6,8 @@ import pytest
 from irpso_addon.capture.types import Capture, LeftOut, Light, Observation
 from irpso_addon.commands.options.hold_out import held_out_list
 from irpso_addon.core.errors import InputError
-from irpso_addon.solver.views.held_out import MIN_OBSERVATIONS, distinct_names, order_of, relit_line, spared
+from irpso_addon.results.preview import PreviewRow
+from irpso_addon.solver.views.held_out import MIN_OBSERVATIONS, _figures, distinct_names, order_of, relit_line, spared
 
 NAMES = [f"IMG_000{k}.jpg" for k in range(1, 6)]
 
@@ -83,6 +84,16 @@ def test_the_least_number_for_holding_out_is_right():
 def test_cameras_that_list_the_same_lamps_do_not_lose_one_lamp_in_all_views(lamps, cameras):
     chosen = spared([k // lamps for k in range(lamps * cameras)])
     assert len({k % lamps for k in chosen}) == len(chosen) and len({k // lamps for k in chosen}) == cameras
+
+
+@pytest.mark.parametrize(("few", "seen"), [(9, False), (10, True)])
+def test_highlights_of_a_few_texels_are_noise_and_no_figure(few, seen):
+    dark = np.zeros((40, 50, 3))
+    row = PreviewRow("a", dark, dark + 0.1, np.zeros((40, 50)), covered=np.ones((40, 50), bool))
+    found = _figures(["a"], [row], [np.arange(2000).reshape(40, 50) < few])
+    assert found["relighting_psnr_db"] == {"a": 20.0}
+    assert found["relighting_highlights_psnr_db"] == {"a": 20.0 if seen else None}
+    assert found["relighting_highlights_mean_psnr_db"] == (20.0 if seen else None)
 
 
 def test_held_out_images_are_read_last_in_the_named_order():
