@@ -271,7 +271,7 @@ class Run:
             return None
         fineness = settings.resolution, settings.rays
         if job.mesh is not None:
-            return MeshInterreflection(job.mesh, ray_caster_steps, *fineness)
+            return MeshInterreflection(job.mesh, ray_caster_steps, *fineness, shadowed=job.shadows)
         normal = next(p.name for p in job.model.parameters if p.is_normal)
         return CardInterreflection(job.capture.cameras[0], normal, ray_caster_steps, *fineness)
 

@@ -26,11 +26,15 @@ _KEPT_LIGHTS = 3  # sets of lights: of the fitted photographs, before and after 
 
 @dataclass(frozen=True, eq=False)
 class InterreflectionSurface:
-    """A surface that lights itself. domain: its texels. transport: between its elements. values: the maps on it."""
+    """A surface that lights itself. domain: its texels. transport: between its elements. values: the maps on it.
+
+    shadowed: whether samples show indirect light alone where the surface hides their light.
+    """
 
     domain: Domain
     transport: LightTransport
     values: Values
+    shadowed: bool = True
 
 
 class InterreflectionGeometry(Protocol):
@@ -51,12 +55,16 @@ class InterreflectionGeometry(Protocol):
 
 @dataclass
 class MeshInterreflection:
-    """A mesh: maps do not change its shape. resolution, rays: as for ``light_transport_steps``."""
+    """A mesh: maps do not change its shape. resolution, rays: as for ``light_transport_steps``.
+
+    shadowed: whether the mesh's cast shadows are those of the photographs.
+    """
 
     mesh: MeshData
     caster_of: CasterOf
     resolution: int
     rays: int
+    shadowed: bool = True
     known_shape: bool = True
     _transport: LightTransport | None = None
     _lit: dict[bytes, np.ndarray] = field(default_factory=dict)  # of the last lights (K, 4): LightTransport.lit
@@ -81,7 +89,7 @@ class MeshInterreflection:
             while len(self._lit) >= _KEPT_LIGHTS:
                 self._lit.pop(next(iter(self._lit)))
             self._lit[lights] = lit
-        return InterreflectionSurface(domain, replace(self._transport, lit=self._lit[lights]), values)
+        return InterreflectionSurface(domain, replace(self._transport, lit=self._lit[lights]), values, self.shadowed)
 
 
 @dataclass

@@ -43,7 +43,8 @@ class IndirectLight:
     → (H, W, components). known: (H, W) bool, where the maps determine the material; other elements get the material of
     the nearest known one, or of the nearest solvable one if none is known. Elements that are not solvable have the
     mesh's own normal. materials: of the E elements, parameter name → (E, components); the light is computed with wider
-    lobes. covered: (H, W) bool, the texels of ``samples``. Radiances of elements are as photographed.
+    lobes. covered: (H, W) bool, the texels of ``samples``. shadowed: as of InterreflectionSurface. Radiances of
+    elements are as photographed.
     """
 
     def __init__(
@@ -54,9 +55,10 @@ class IndirectLight:
         values: Mapping[str, np.ndarray],
         known: np.ndarray,
         bounces: int,
+        shadowed: bool = True,
     ):
         context.ensure()
-        self._domain, self.transport, self._bounces = domain, transport, bounces
+        self._domain, self.transport, self._bounces, self._shadowed = domain, transport, bounces, shadowed
         self.covered = domain.bake.coverage
         count = len(transport.texels)
         columns = min(count, _COLUMNS)
@@ -119,14 +121,15 @@ class IndirectLight:
     def strength(self, radiance: np.ndarray) -> float:
         """Return the factor on radiances (K, E, 3) of the elements that agrees best with samples in shadow.
 
-        Where no lamp reaches, a photograph shows indirect light alone. Its scale is free, because direct light
+        Where no lamp reaches, a photograph shows indirect light alone: in cast shadows, where they are the photographs'
+        own, and on surfaces that face away. Its scale is free, because direct light
         determines only the product of the lamps' intensities and the base colours. 1 without such samples.
         """
         domain, shown = self._domain, self.shown
         toward, _ = light_vectors(domain, self._places)
         cosine = (toward * self._normals).sum(axis=-1)
         predicted = radiance.mean(axis=-1)
-        dark = (self._lit == 0) | (cosine < _AWAY)
+        dark = (self._shadowed & (self._lit == 0)) | (cosine < _AWAY)
         enough = predicted > _MIN_SHARE * np.percentile(shown[self.seen], 90)
         counted = dark & self.seen & enough & domain.solvable[self._places]
         if np.count_nonzero(counted) < _MIN_SAMPLES:

@@ -404,7 +404,8 @@ class InterreflectionRounds(Successive):
         bounces, steps = self.schedule.interreflection.bounces, self._geometry.steps(domain, source_maps)
         surface = yield from map_steps(steps, lambda part: None)
         known = domain.solvable & (surface.values[_WELL_FITTED][..., 0] > 0)
-        return IndirectLight(surface.domain, surface.transport, self.model, surface.values, known, bounces)
+        shape = surface.domain, surface.transport, self.model
+        return IndirectLight(*shape, surface.values, known, bounces, surface.shadowed)
 
     def _set_share(self, share: np.ndarray) -> None:
         """Store the indirect part (H, W) of the light of the photographs."""

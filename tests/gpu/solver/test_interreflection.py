@@ -10,7 +10,9 @@ import pytest
 from irpso_addon.blender.ray_caster import ray_caster_steps
 from irpso_addon.core.errors import CheckpointError, InputError
 from irpso_addon.core.steps import run_steps
+from irpso_addon.geometry.domain import domain_of
 from irpso_addon.geometry.light.interreflection_geometry import CardInterreflection, MeshInterreflection
+from irpso_addon.geometry.surface.bake import bake_uv
 from irpso_addon.gpu import textures
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.false_color import COLORS, false_color
@@ -20,7 +22,7 @@ from irpso_addon.solver.interreflection import rounds
 from irpso_addon.solver.interreflection.indirect_light import IndirectLight
 from irpso_addon.solver.interreflection.rounds import InterreflectionRounds
 from irpso_addon.solver.views.display import Display, Shown
-from tests.builders.cavity import cap_card, half_cavity
+from tests.builders.cavity import cap_card, cavity_mesh, half_cavity
 from tests.builders.command_line import dome_lights
 from tests.builders.domains import bits_of
 from tests.builders.rounds import ALBEDO, LAMBERT, ROUNDS, SINGLE, errors, matt_bowl, rounds_of, without_indirect
@@ -235,6 +237,24 @@ def test_a_run_resumes_in_every_round(bowl, whole, share, tmp_path):
         np.testing.assert_array_equal(recovery.indirect_share, shown)  # None, too
         recovery.step()
         assert bits_of(recovery.maps()) == bits_of(whole[0])
+
+
+def test_photographs_without_shadows_and_bounces_lose_no_light():
+    # As `render` makes them. Where the mesh casts its shadows, such a photograph is bright by its lamp.
+    mesh = cavity_mesh(opening=-0.8)
+    texels = bake_uv(mesh, 48, 16, allow_overlap=True)
+    lights = np.pad(dome_lights(16, 50.0) * (1, 1, -1), ((0, 0), (0, 1))).astype(np.float32)
+    cosine = np.einsum("hwi,ki->khw", texels.normal.astype(np.float64), lights[:, :3])
+    values = np.ones((*cosine.shape, 4), np.float32)
+    values[..., :3] = np.array(ALBEDO) * np.maximum(cosine, 0)[..., None]
+    views = np.tile(np.float32([0, 0, 0, 1]), (16, 1))
+    domain = domain_of(texels, values, lights, np.ones((16, 3), np.float32), views, card=False)
+    with rounds_of((domain, MeshInterreflection(mesh, ray_caster_steps, 48, 64, shadowed=False))) as recovery:
+        recovery.step()
+        maps, found = recovery.maps(), recovery.findings["interreflection"]
+    assert max(found["strength"]) < 0.01
+    lit = (cosine > 0.1).sum(axis=0) >= 6
+    np.testing.assert_allclose(maps.values["base_color"][lit], np.broadcast_to(ALBEDO, (lit.sum(), 3)), rtol=0.02)
 
 
 def test_a_run_among_other_occluders_is_another(bowl, tmp_path):
