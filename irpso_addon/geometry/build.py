@@ -69,7 +69,7 @@ def card_steps(
     views = np.broadcast_to(_at_origin(camera).view, (len(capture.observations), 4))
     domain = _domain(capture, bake, stack, views, inverse, card=True, noise=(yield from noise.finishing()))
     if window is None:
-        _check_seen(capture, domain, "the card")
+        check_seen(capture.name, domain, "the card")
     return replace(domain, origin=(x0, y0))
 
 
@@ -158,12 +158,13 @@ def mesh_steps(
 
     rows, columns = bake.coverage.shape
     stack, noise = new_stack(len(capture.observations), rows, columns, scratch), NoiseEstimate(capture)
-    unseen = yield from _fill(stack, capture, bake, project, caster, noise)
+    unseen, shaded = yield from _fill(stack, capture, bake, project, caster, noise)
     views = np.array([capture.cameras[observation.camera].view for observation in capture.observations])
     domain = _domain(capture, bake, stack, views, np.eye(4), card=False, noise=(yield from noise.finishing()))
+    domain = replace(domain, seams=seams, origin=(0, 0) if window is None else window[:2], unseen=unseen, shaded=shaded)
     if window is None:
-        _check_seen(capture, domain, f"mesh '{mesh.name}'")
-    return replace(domain, seams=seams, origin=(0, 0) if window is None else window[:2], unseen=unseen)
+        check_seen(capture.name, domain, f"mesh '{mesh.name}'")
+    return domain
 
 
 domain_from_mesh = blocking("domain_from_mesh", mesh_steps)
@@ -193,16 +194,17 @@ def _fill(
     project: Callable[[int], Projector],
     caster: ShadowCaster | None,
     noise: NoiseEstimate,
-) -> Generator[None, None, tuple[int, ...]]:
+) -> Generator[None, None, tuple[tuple[int, ...], tuple[int, ...]]]:
     """Read the images into the stack, yielding before each: light by light, because images of one light share shadows.
 
-    Returns the observations, by index, whose cameras see no texel; their images are not read. project: camera index →
-    Projector. A Projector holds about 50 bytes per visible texel, three times an image's 16; each is made for its
-    camera's first image and freed after the last.
+    Returns ``Domain.unseen``, whose images are not read, and ``Domain.shaded``. project: camera index → Projector. A
+    Projector holds about 50 bytes per visible texel, three times an image's 16; each is made for its camera's first
+    image and freed after the last.
     """
     left = Counter(observation.camera for observation in capture.observations)
     projectors: dict[int, Projector] = {}
     blind: set[int] = set()
+    shaded: list[int] = []
     for light, numbers in _by_light(capture.observations).items():
         cameras = Counter(capture.observations[k].camera for k in numbers)
         for index in sorted(set(cameras) - set(projectors)):
@@ -210,10 +212,11 @@ def _fill(
             projectors[index] = project(index)
             if not projectors[index].visible.any():
                 blind.add(index)
-        yield from _fill_light(stack, capture, bake, projectors, caster, light, numbers, noise)
+        shaded += yield from _fill_light(stack, capture, bake, projectors, caster, light, numbers, noise)
         left -= cameras
         projectors = {index: projector for index, projector in projectors.items() if left[index]}
-    return tuple(k for k, observation in enumerate(capture.observations) if observation.camera in blind)
+    unseen = tuple(k for k, observation in enumerate(capture.observations) if observation.camera in blind)
+    return unseen, tuple(sorted({*unseen, *shaded}))
 
 
 def _fill_light(
@@ -225,15 +228,19 @@ def _fill_light(
     light: Light,
     numbers: Sequence[int],
     noise: NoiseEstimate,
-) -> Generator[None, None, None]:
-    """Read the images under one light, the observations ``numbers``, yielding before each."""
+) -> Generator[None, None, list[int]]:
+    """Read the images under one light, the observations ``numbers``, yielding before each; return the shaded ones."""
     seen = {index: projectors[index].visible for index in {capture.observations[k].camera for k in numbers}}
     texels = np.flatnonzero(np.logical_or.reduce(list(seen.values())))
     if not len(texels):
-        return
+        return list(numbers)
     gain, weight = _beam_correction(light, bake.position.reshape(-1, 3), texels)
+    shaded = []
     if caster is not None:
-        weight = weight * caster.weights(light, texels)
+        lit = caster.weights(light, texels)
+        weight = weight * lit
+        reached = {index: (lit[there.ravel()[texels]] > 0).any() for index, there in seen.items()}
+        shaded = [k for k in numbers if not reached[capture.observations[k].camera]]
     for k in numbers:
         index = capture.observations[k].camera
         if not seen[index].any():
@@ -243,6 +250,7 @@ def _fill_light(
         noise.take(capture.observations[k], image)
         stack.layer(k)[:] = projectors[index].sample(image, np.asarray(capture.masks[index], bool))
         _scale_samples(stack.layer(k), texels, gain, weight)
+    return shaded
 
 
 def _by_light(observations: Sequence[Observation]) -> dict[Light, list[int]]:
@@ -351,9 +359,16 @@ def _check_masks(capture: Capture) -> None:
             )
 
 
-def _check_seen(capture: Capture, domain: Domain, what: str) -> None:
+def check_seen(name: str, domain: Domain, what: str) -> None:
+    """Raise InputError where a capture's images show nothing lit. name: the capture's. what: "the card" or the mesh."""
+    if len(domain.shaded) == domain.observations > len(domain.unseen):
+        raise InputError(
+            f"capture '{name}': no light reaches what its cameras see of {what}, by the shadows of the mesh and its"
+            " occluders; leave the lamps' own housings out of the occluders, check the lights, or do not predict"
+            " shadows (--no-shadows)"
+        )
     if not domain.solvable.any():
         raise InputError(
-            f"no image of capture '{capture.name}' shows {what} lit; check its cameras, masks and exposure"
+            f"no image of capture '{name}' shows {what} lit; check its cameras, masks and exposure"
             + ("" if domain.card else ", and that its normals point outward (Mesh › Normals › Recalculate Outside)")
         )

@@ -66,7 +66,7 @@ class Domain:
     standard deviation of the photographs' sRGB codes, as a fraction of white (capture/noise.py); 0 where their files
     are finer than that. beams: (K, 8) place of each light and its (5,) of ``beam_share``, by which the samples were
     divided; None where all lights are isotropic. unseen: the observations, by index, whose cameras see no texel of the
-    mesh.
+    mesh. shaded: those whose light reaches, by the predicted shadows, no texel that their cameras see; with the unseen.
     """
 
     bake: GeometryBake
@@ -82,6 +82,7 @@ class Domain:
     noise: float = 0.0
     beams: np.ndarray | None = None
     unseen: tuple[int, ...] = ()
+    shaded: tuple[int, ...] = ()
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -149,13 +150,14 @@ def subset(domain: Domain, observations: Sequence[int] | np.ndarray, solvable: n
         views=domain.views[chosen],
         beams=None if domain.beams is None else domain.beams[chosen],
         unseen=tuple(np.flatnonzero(np.isin(chosen, domain.unseen)).tolist()),
+        shaded=tuple(np.flatnonzero(np.isin(chosen, domain.shaded)).tolist()),
     )
 
 
 def with_texels(domain: Domain, bake: GeometryBake, values: np.ndarray, seams: SeamMap | None = None) -> Domain:
     """Return a domain of other texels, whole and at the origin, with samples ``values`` (K, H, W, 4).
 
-    Lights, views, noise and unseen stay those of ``domain``.
+    Lights, views, noise, unseen and shaded stay those of ``domain``.
     """
     return with_samples(replace(domain, bake=bake, seams=seams, origin=(0, 0), halo=(0, 0, 0, 0)), values)
 

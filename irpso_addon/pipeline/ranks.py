@@ -20,7 +20,7 @@ from ..cluster.worker import Worker
 from ..core.errors import InputError, IrpsoError, print_error
 from ..core.interrupt import exit_code_of, ignore_signals
 from ..core.optional import present
-from ..geometry.build import card_bake, domain_from_card, domain_from_mesh, mesh_surface
+from ..geometry.build import card_bake, check_seen, domain_from_card, domain_from_mesh, mesh_surface
 from ..geometry.domain import Domain, GeometryBake, subset, with_texels
 from ..geometry.seams.seams import SeamMap
 from ..geometry.surface.bake import surface_bake
@@ -219,20 +219,18 @@ def _partition(ranks: Ranks, job: Job, division: Split, surface: Surface) -> Par
         none = window.bake.map_arrays(lambda values: values[:0, :0])
         lights_only = with_texels(window, none, np.zeros((window.observations, 0, 0, 4)))
     of_all = ranks.broadcast(lights_only)
-    # No camera that a rank sees texels with is blind to the whole mesh.
-    own = None if window is None else set(window.unseen)
-    parts = [unseen for unseen in ranks.allgather(own) if unseen is not None]
-    whole = replace(of_all, bake=bake, seams=seams, unseen=tuple(sorted(set.intersection(*parts))))
+    # No camera that a rank sees texels with is blind to the whole mesh, and no light that it sees hidden from it.
+    own = None if window is None else (set(window.unseen), set(window.shaded))
+    unseen, shaded = zip(*(sets for sets in ranks.allgather(own) if sets is not None), strict=True)
+    found = (tuple(sorted(set.intersection(*sets))) for sets in (unseen, shaded))
+    whole = replace(of_all, bake=bake, seams=seams, **dict(zip(("unseen", "shaded"), found, strict=True)))
     return Partition(whole, division.boxes, division.halo, window)
 
 
 def _check_lit(worker: Worker, job: Job) -> None:
     """Raise InputError where no rank has a lit texel, as one process does."""
-    if not worker.partition.whole.solvable.any():
-        what = "the card" if job.mesh is None else f"mesh '{job.mesh.name}'"
-        raise InputError(
-            f"no image of capture '{job.capture.name}' shows {what} lit; check its cameras, masks and exposure"
-        )
+    what = "the card" if job.mesh is None else f"mesh '{job.mesh.name}'"
+    check_seen(job.capture.name, worker.partition.whole, what)
 
 
 def _serve_orders(worker: Worker) -> int:

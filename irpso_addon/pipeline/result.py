@@ -114,14 +114,20 @@ def _coverage_warnings(domain: Domain, maps: Maps) -> list[str]:
 
 
 def _unseen_warnings(domain: Domain, capture: Capture) -> list[str]:
-    """Return a warning of the photographs whose cameras see no texel of the mesh."""
-    if not domain.unseen:
-        return []
-    names = [capture.observations[k].name for k in domain.unseen]
-    return [
-        f"{len(names)} of the {len(capture.observations)} photographs show no texel of the mesh and are not used"
-        f" ({some(names)}): check the poses of their cameras, and the mesh's place and unit"
-    ]
+    """Return warnings of the photographs whose cameras see no texel of the mesh, and of those whose light is hidden."""
+    lines = []
+    if names := [capture.observations[k].name for k in domain.unseen]:
+        lines.append(
+            f"{len(names)} of the {len(capture.observations)} photographs show no texel of the mesh and are not used"
+            f" ({some(names)}): check the poses of their cameras, and the mesh's place and unit"
+        )
+    if names := [capture.observations[k].name for k in domain.shaded if k not in domain.unseen]:
+        lines.append(
+            f"{len(names)} of the {len(capture.observations)} photographs are not used, because mesh or occluders hide"
+            f" their light from all that the camera sees ({some(names)}): leave the lamps' own housings out of the"
+            " occluders, check the lights, or do not predict shadows"
+        )
+    return lines
 
 
 def capture_warnings(capture: Capture, reads: bool = True, exposures: bool = True) -> list[str]:

@@ -10,6 +10,7 @@ import pytest
 from irpso_addon.blender.mesh import extract_mesh
 from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.types import Capture, Light, Observation
+from irpso_addon.core.errors import InputError
 from irpso_addon.geometry import build
 from irpso_addon.geometry.build import domain_from_card, domain_from_mesh
 from irpso_addon.geometry.domain import GeometryBake, subset, tile
@@ -105,6 +106,27 @@ def test_photographs_that_show_no_texel_are_named_and_not_read():
         "2 of the 8 photographs show no texel of the mesh and are not used ('away 0', 'away 4'): check the poses of"
         " their cameras, and the mesh's place and unit"
     ]
+
+
+def test_photographs_whose_light_is_hidden_from_the_mesh_are_named():
+    mesh, capture = monkey_capture([])
+    assert domain_from_mesh(capture, mesh, 60, 80).shaded == ()
+    # Lamps inside their housing, one of each camera.
+    place = np.float32([0.0, -4.0, 3.0])
+    inside = Light(tuple(place.tolist()), distant=False)
+    mesh = replace(mesh, occluders=oracle.sphere(radius=0.2).positions + place)
+    observations = tuple(
+        replace(one, light=inside) if k in (1, 4) else one for k, one in enumerate(capture.observations)
+    )
+    hidden = replace(capture, observations=observations)
+    domain = domain_from_mesh(hidden, mesh, 60, 80)
+    assert domain.shaded == (1, 4) and subset(domain, [0, 4]).shaded == (1,)
+    (line,) = _unseen_warnings(domain, hidden)
+    assert line.startswith("2 of the 6 photographs are not used, because mesh or occluders hide their light")
+    assert domain_from_mesh(hidden, mesh, 60, 80, shadows=False).shaded == ()
+    dark = replace(capture, observations=tuple(replace(one, light=inside) for one in capture.observations))
+    with pytest.raises(InputError, match="no light reaches what its cameras see of mesh .*[(]--no-shadows[)]"):
+        domain_from_mesh(dark, mesh, 60, 80)
 
 
 def smooth(x, y):
