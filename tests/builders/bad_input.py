@@ -256,7 +256,10 @@ OPTIONS = {
     "a resolution past all limits": (recover("--resolution", "99999"), r"--resolution 99999"),
     "a resolution of a card": (recover("--resolution", "64"), r"--resolution is for meshes: give --blend"),
     "a seed of text": (recover("--seed", "seven"), r"--seed: seven is not a whole number"),
-    "more particles than a GPU holds": (recover("--set", "particles=100000000"), r"lower .* the number of particles"),
+    "more particles than a GPU holds": (
+        recover("--preset", "swarm", "--set", "particles=100000000"), r"lower .* the number of particles"),
+    "more particles than move together": (
+        recover("--preset", "standard", "--set", "particles=17"), r"at most 16 together, not 17; lower particles"),
     "an observation that is not there": (
         recover("--hold-out", "1,6"), r"--hold-out 1,6: '6' is no photograph; .*from 0 to 5"),
     "an observation twice": (recover("--hold-out", "1,1"), r"--hold-out 1,1"),
