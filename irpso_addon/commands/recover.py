@@ -277,7 +277,7 @@ def _summary(report: dict, folder: Path, seconds: float) -> str:
         lines.append(f"{name} against ground truth: {figures}")
     if shares := report.get("photographs_decided"):
         decided = ", ".join(f"{name} on {share:.0%}" for name, share in shares.items())
-        lines.append(f"decided by the photographs: {decided} of the texels; elsewhere by the model's prior")
+        lines.append(f"decided by the photographs: {decided} of the texels; elsewhere by the model's prior, or unknown")
     if (share := report.get("unknown", {}).get("normal", 0)) >= 0.005:
         lines.append(f"normal: unknown on {share:.0%} of the texels")
     for name, psnr in report.get("relighting_psnr_db", {}).items():

@@ -16,6 +16,7 @@ from typing import Any
 from .errors import InputError
 from .paths import SHADERS
 
+INCLUDE = re.compile(r'^[ \t]*#include[ \t]+"([^"\n]+)"[ \t]*$', re.M)  # of a GLSL file: the name of another
 JSON_ERRORS = "backslashreplace"  # for names that are no UTF-8: their escapes are JSON's own, and read back exactly
 _NAME_BYTES = 150
 _unfinished: set[Path] = set()  # folders that are being filled
@@ -144,8 +145,16 @@ def shipped_names(folder: Path) -> list[str]:
 
 def defined(path: str, prefix: str = "") -> dict[str, int | float]:
     """Return the numbers that a file of shaders/ names by ``#define PREFIX_NAME number``, by NAME."""
-    found = re.findall(rf"^#define {prefix}(\w+) ([-+.\w]+)", (SHADERS / path).read_text(encoding="utf-8"), re.M)
+    found = re.findall(rf"^#define {prefix}(\w+) ([-+.\w]+)", read_glsl(SHADERS / path), re.M)
     return {name: float(value) if re.search("[.e]", value) else int(value) for name, value in found}
+
+
+def read_glsl(path: Path) -> str:
+    """Return the text of a GLSL file, without a byte order mark. Raises InputError if it cannot be read."""
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read ({error}); save it as UTF-8") from error
 
 
 def load_shipped_table(what: str, name_or_path: str | Path, folder: Path) -> tuple[dict[str, Any], Path]:

@@ -7,9 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from ..core.errors import ShaderError
+from ..core.files import INCLUDE, read_glsl
 from ..core.paths import SHADERS
-
-_INCLUDE = re.compile(r'^[ \t]*#include[ \t]+"([^"\n]+)"[ \t]*$', re.M)
 
 
 def read_source(path: str | Path, includes: Mapping[str, str | Path] = {}) -> str:
@@ -18,7 +17,7 @@ def read_source(path: str | Path, includes: Mapping[str, str | Path] = {}) -> st
     An include acts at the top of its file, wherever it stands: Blender's error messages use the last
     ``#line 1 "file"``, so every file must be one piece. The search order of names is ``includes`` (name → text, or the
     path of another file), the including file's folder, the shipped shaders/.
-    Raises ShaderError with file and line where a name is not found.
+    Raises ShaderError with file and line where a name is not found, InputError where a file cannot be read.
     """
     return "\n".join(_expand(_find(str(path), None, includes, "shader library", 0), includes, set())) + "\n"
 
@@ -29,23 +28,16 @@ def _expand(source: Path | tuple[str, str], includes: Mapping[str, str | Path], 
         # A short label: quotes or backslashes of a full path would break #line.
         own = re.sub(r"[^\w.-]", "_", source.name)  # #line and its readers end at blanks and quotes
         label = source.relative_to(SHADERS).as_posix() if source.is_relative_to(SHADERS) else own
-        text, folder = _read(source), source.parent
+        text, folder = read_glsl(source), source.parent
     else:
         label, text = source
         folder = None
     before: list[str] = []
-    for match in _INCLUDE.finditer(text):
+    for match in INCLUDE.finditer(text):
         included = _find(match.group(1), folder, includes, label, text.count("\n", 0, match.start()) + 1)
         if included not in seen:
             before += _expand(included, includes, seen)
-    return [*before, f'#line 1 "{label}"', _INCLUDE.sub("", text).removesuffix("\n")]
-
-
-def _read(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ShaderError(f"{path}: cannot be read ({error}); save it as UTF-8") from error
+    return [*before, f'#line 1 "{label}"', INCLUDE.sub("", text).removesuffix("\n")]
 
 
 def _find(

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import InputError
-from ..core.files import defined, load_shipped_table, shipped_names
+from ..core.files import defined, load_shipped_table, read_glsl, shipped_names
 from ..core.paths import MODELS, SHADERS
-from .shader_files import check_names, files_of, is_word, text_of
+from .shader_files import check_names, files_of, is_word
 
 MAX_COMPONENTS = int(defined("common/limits.glsl", "MAX_")["COMPONENTS"])
 _IDENTIFIER = re.compile(r"[a-z][a-z0-9_]*$")
@@ -179,7 +179,7 @@ def digest_of_own_model(name_or_path: str | Path) -> str | None:
     digest = hashlib.sha256(path.read_bytes())
     for file in files_of(load_model(path).shader):
         if not file.is_relative_to(SHADERS):
-            digest.update(text_of(file).encode())
+            digest.update(read_glsl(file).encode())
     return digest.hexdigest()
 
 
@@ -218,7 +218,7 @@ def _model_from_table(table: dict[str, Any], path: Path) -> ReflectanceModel:
     if any(parameters[names.index(n)].range != (0.0, 1.0) for n in complement):
         raise InputError(f"{path}: a complement must have the range [0, 1]")
     name = table.get("name", path.stem)
-    bases = frozenset(_BASIS.findall(text_of(shader)))
+    bases = frozenset(_BASIS.findall(read_glsl(shader)))
     return ReflectanceModel(
         name, table.get("title", name), shader, parameters, bases, ordered, complement, dict(table.get("material", {})),
         _starts_from_table(table.get("start", []), parameters, path),

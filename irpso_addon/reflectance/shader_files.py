@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 
 from ..core.errors import InputError
+from ..core.files import INCLUDE, read_glsl
 from ..core.paths import SHADERS
 
 # The lower-case words of GLSL 4.60, section 3.6, that no field of a struct may have as its name.
@@ -18,10 +19,14 @@ _WORDS = re.compile(
     "|subroutine|superp|switch|template|this|true|typedef|uint|uniform|union|unsigned|using|varying|void|volatile|while"
     "|writeonly|[biudhf]?vec[234]|d?mat[234](x[234])?|atomic_uint|.*__.*"
 )
-_INCLUDE = re.compile(r'^[ \t]*#include[ \t]+"([^"\n]+)"', re.M)
 _COMMENT = re.compile(r"//[^\n]*|/\*.*?\*/", re.S)
-# A macro, a struct, or a function or constant outside of functions, which begins in the first column.
-_DEFINITION = re.compile(r"^(?:#define[ \t]+|struct[ \t]+|(?:const[ \t]+)?\w+[ \t]+(?=\w+[ \t]*[(=\[]))(\w+)", re.M)
+_MACRO = re.compile(r"^[ \t]*#[ \t]*define[ \t]+(\w+)", re.M)
+_DIRECTIVE = re.compile(r"^[ \t]*#.*$", re.M)
+_BODY = re.compile(r"\{[^{}]*\}")
+# Outside of bodies, which are "{}": a struct, a function, and the constants of a declaration.
+_STRUCT_OR_FUNCTION = re.compile(r"\bstruct\s+(\w+)|(\w+)\s*\([^()]*\)\s*\{\}")
+_CONSTANTS = re.compile(r"\bconst\b[^;]*;")
+_CONSTANT = re.compile(r"(\w+)\s*(?:\[\w*\])?\s*=")
 _MODEL_NAMES = re.compile("reflectance|basis_.*")  # that every model defines
 
 
@@ -30,19 +35,11 @@ def is_word(name: str) -> bool:
     return _WORDS.fullmatch(name) is not None
 
 
-def text_of(shader: Path) -> str:
-    """Return the text of a GLSL file. Raises InputError if it cannot be read."""
-    try:
-        return shader.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{shader}: cannot be read ({error}); save it as UTF-8") from error
-
-
 def files_of(shader: Path) -> list[Path]:
     """Return a GLSL file and all that it includes, from beside the including file or from shaders/."""
     files = [shader.resolve()]
     for file in files:
-        for name in _INCLUDE.findall(text_of(file)):
+        for name in INCLUDE.findall(read_glsl(file)):
             found = next((path.resolve() for path in (file.parent / name, SHADERS / name) if path.is_file()), None)
             if found is not None and found not in files:
                 files.append(found)
@@ -55,9 +52,10 @@ def check_names(shader: Path) -> None:
     Some passes are compiled only late in a recovery.
     """
     files = files_of(shader)
-    theirs = [file for file in files if not file.is_relative_to(SHADERS)]
-    taken = {name: file for file in _pass_files() if file not in files for name in _defined(file)}
-    for file in theirs:
+    taken = {name: file for file, names in _pass_names().items() if file not in files for name in names}
+    for file in files:
+        if file.is_relative_to(SHADERS):
+            continue
         for name in sorted(_defined(file) & taken.keys()):
             raise InputError(
                 f"{file}: '{name}' is a name of the program ({taken[name].relative_to(SHADERS).as_posix()}); begin your"
@@ -66,13 +64,19 @@ def check_names(shader: Path) -> None:
 
 
 @cache
-def _pass_files() -> tuple[Path, ...]:
-    """Return the shaders that are compiled together with a model; other models, beside their tables, are not."""
-    return tuple(file for file in sorted(SHADERS.rglob("*.glsl")) if not file.with_suffix(".toml").is_file())
+def _pass_names() -> dict[Path, set[str]]:
+    """Return the names in the shaders that are compiled together with a model; others, beside tables, are models."""
+    return {file: _defined(file) for file in sorted(SHADERS.rglob("*.glsl")) if not file.with_suffix(".toml").is_file()}
 
 
-@cache
 def _defined(file: Path) -> set[str]:
     """Return the names of macros, structs, functions and constants that a file defines, but those of every model."""
-    names = _DEFINITION.findall(_COMMENT.sub("", text_of(file)))
+    text = _COMMENT.sub("", read_glsl(file))
+    names = _MACRO.findall(text)
+    text, flat = "", _DIRECTIVE.sub("", text)
+    while flat != text:  # bodies inside bodies become blanks
+        text, flat = flat, _BODY.sub(lambda body: "\x00", flat)
+    flat = flat.replace("\x00", "{}")
+    names += [struct or function for struct, function in _STRUCT_OR_FUNCTION.findall(flat)]
+    names += [name for declaration in _CONSTANTS.findall(flat) for name in _CONSTANT.findall(declaration)]
     return {name for name in names if not _MODEL_NAMES.fullmatch(name)}

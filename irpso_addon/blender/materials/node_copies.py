@@ -57,7 +57,8 @@ def _is_animated(node: Any) -> bool:
     animation = node.id_data.animation_data
     if animation is None:
         return False
-    return animation.action is not None or any(d.data_path.startswith(node.path_from_id()) for d in animation.drivers)
+    driven = any(driver.data_path.startswith(node.path_from_id()) for driver in animation.drivers)
+    return driven or animation.action is not None or len(animation.nla_tracks) > 0
 
 
 def _own_properties(node: Any) -> list[str]:

@@ -141,9 +141,14 @@ def mark_saved() -> None:
     _unsaved.difference_update(image_files())
 
 
-def remove_superseded() -> None:
-    """Remove the maps' files that neither a saved .blend nor the open file shows. *Undo* no longer reaches them."""
-    for path in _unsaved - image_files():
+def superseded() -> set[Path]:
+    """Return the maps' files that neither a saved .blend nor the open file shows: only *Undo* reaches them."""
+    return _unsaved - image_files()
+
+
+def remove_superseded(files: Iterable[Path]) -> None:
+    """Remove the files of ``superseded``, except those that the file shows which has been loaded since."""
+    for path in set(files) - image_files():
         with suppress(OSError):
             path.unlink()
     _unsaved.clear()

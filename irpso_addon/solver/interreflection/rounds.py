@@ -48,9 +48,9 @@ _MAX_MATTE_MISFIT = 0.05
 # Part of the texels that the first matte round does not fit well: above it a full round follows. It is at most 0.015 in
 # those bodies and 0.9 in metal paint, where that round takes the normals of a bowl from 7.2 to 0.9°.
 _MAX_ILL_FITTED = 0.02
+_ROUNDING = 1e-3  # of mean errors that are the same
 # There, the last matte round may fit worse than the first by a factor: such fits say little. It is 1.03 and 1.05 in a
 # coin and a bowl of metal paint, and their light helps the full round.
-_ROUNDING = 1e-3  # of mean errors that are the same
 _WORSE = 1.25
 _MAX_FOREIGN = 0.02  # part of the texels without an element; more are worth a warning
 _MIN_SHARE = 0.003  # of the light of the photographs; with less there is no further round

@@ -9,15 +9,15 @@ from ...reflectance.model import Parameter, ReflectanceModel
 
 _ROUNDING = 1e-5  # of a unit vector's squared length in float32
 _LENGTHS = (0.9, 1.1)  # of vectors that resampling has shortened; others are no normals
-_OUTSIDE = 0.01  # of the range's width: values so far outside are put to its ends
+_OUTSIDE, _MANY = 0.01, 0.25  # of the range's width; part of the texels so far outside: more, and it is no such map
 
 
 def full_map(model: ReflectanceModel, name: str, value: np.ndarray, solvable: np.ndarray) -> np.ndarray:
     """Return a known value as a map (H, W, components) float32. value: (components,) or (H, W, components).
 
     solvable: (H, W) bool; what the value is elsewhere does not count. Normals get the length 1, where they have not.
-    Raises InputError where the shape does not match the model or the domain, a number is not finite or lies outside the
-    parameter's range, or normals are no unit vectors.
+    Raises InputError where the shape does not match the model or the domain, a number is not finite, many lie outside
+    the parameter's range, or normals are no unit vectors.
     """
     parameter, shape = model.parameter(name), solvable.shape
     value = np.asarray(value, np.float32)
@@ -54,12 +54,13 @@ def _unit(name: str, normals: np.ndarray, solvable: np.ndarray) -> np.ndarray:
 
 
 def _inside(parameter: Parameter, values: np.ndarray, solvable: np.ndarray) -> np.ndarray:
-    """Return values (H, W, n) put to the ends of the parameter's range. Raises InputError far outside."""
+    """Return values (H, W, n) put to the ends of the parameter's range. Raises InputError where many lie outside."""
     low, high = parameter.range
     known = values[solvable]
-    if known.size and max(low - (least := known.min()), (most := known.max()) - high) > _OUTSIDE * parameter.width:
+    outside = np.maximum(low - known, known - high) > _OUTSIDE * parameter.width
+    if outside.size and outside.mean() > _MANY:
         raise InputError(
-            f"fixed {parameter.name}: its values reach from {least:.3g} to {most:.3g}; scale them to between {low:g}"
-            f" and {high:g}"
+            f"fixed {parameter.name}: its values reach from {known.min():.3g} to {known.max():.3g}; scale or clip them"
+            f" to between {low:g} and {high:g}"
         )
     return np.clip(values, np.float32(low), np.float32(high))

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import bpy
 from bpy.app.handlers import persistent
 
-from ...blender.materials.textures import remove_superseded
+from ...blender.materials.textures import remove_superseded, superseded
 from ...core.errors import InputError
 from ...pipeline.run import RunCache
 from ..common import failures
@@ -20,6 +21,7 @@ from .scene_job import SceneJob
 _LEAVING = n_("Leaving the file")
 listeners: list[Callable[[], None]] = []  # called for every redraw
 _current: Session | None = None
+_superseded: set[Path] = set()  # files of maps that nothing shows once another file is loaded
 _previous_run = RunCache()  # results of the last run that the next one may reuse
 
 
@@ -79,19 +81,28 @@ def reset() -> None:
 
 
 def register() -> None:
-    """Add the handler that calls ``reset`` before another file is loaded."""
+    """Add the handlers of loading another file."""
     bpy.app.handlers.load_pre.append(_on_load)
+    bpy.app.handlers.load_post.append(_after_loading)
 
 
 def unregister() -> None:
-    """End the session, remove the files of maps that nothing shows, and remove the handler."""
+    """End the session, remove the files of maps that nothing shows, and remove the handlers."""
     reset()
-    remove_superseded()
+    remove_superseded(superseded())
+    bpy.app.handlers.load_post.remove(_after_loading)
     bpy.app.handlers.load_pre.remove(_on_load)
 
 
 @persistent
 @failures.reported(_LEAVING)
 def _on_load(*_: object) -> None:
+    global _superseded
     reset()
-    remove_superseded()
+    _superseded = superseded()
+
+
+@persistent
+@failures.reported(_LEAVING)
+def _after_loading(*_: object) -> None:  # not after a load that failed: the file and its steps of Undo are still there
+    remove_superseded(_superseded)

@@ -10,7 +10,7 @@ import pytest
 
 from irpso_addon.blender.materials.material import apply_material, build_material, card_object
 from irpso_addon.blender.materials.result_blend import save_blend
-from irpso_addon.blender.materials.textures import mark_saved, remove_superseded
+from irpso_addon.blender.materials.textures import mark_saved, remove_superseded, superseded
 from irpso_addon.core.errors import InputError
 from irpso_addon.reflectance.model import load_model
 from tests.gpu.blender.test_material import SHAPE, counts, pixels, random_maps
@@ -101,7 +101,7 @@ def test_a_folder_beside_the_file_moves_with_it(tiles, tmp_path):
     bpy.ops.wm.save_as_mainfile(filepath=str(project / "icon.blend"))
     for _ in range(2):
         material = build_material(maps, "icon", "//maps/")
-    remove_superseded()
+    remove_superseded(superseded())
     material.use_fake_user = True
     number = "_1" if len(tiles) == 1 else "_1.<UDIM>"
     found = {image.filepath.replace("\\", "/") for image in bpy.data.images}
@@ -133,7 +133,7 @@ def test_packed_images_can_be_moved_to_a_folder_and_back(tmp_path):
     np.testing.assert_allclose(pixels(image), third.values["base_color"], atol=4e-5)
 
 
-def test_maps_in_a_folder_replace_only_their_own_files(tmp_path):
+def test_maps_in_a_folder_are_written_beside_others(tmp_path):
     first, second, third = (random_maps(load_model("lambert"), seed) for seed in range(3))
     build_material(first, "Wall.001", tmp_path)
     build_material(second, "Wall_001", tmp_path)
@@ -150,11 +150,11 @@ def test_maps_in_a_folder_replace_only_their_own_files(tmp_path):
     assert {path: path.read_bytes() for path in before} == before
 
 
-def test_tiles_in_a_folder_replace_only_their_own_files(tmp_path):
+def test_tiles_in_a_folder_are_written_beside_others(tmp_path):
     maps = replace(random_maps(load_model("lambert")), tiles=(1001, 1002, 1011, 1012, 1021, 1022, 1031))
     for subject in ("Wall.001", "Wall_001", "Wall.001"):
         build_material(maps, subject, tmp_path)
-    remove_superseded()
+    remove_superseded(superseded())
     assert len(list(tmp_path.iterdir())) == 2 * 2 * 7
     assert (tmp_path / "IRPSO_Wall_001_normal_2.1031.png").exists()
 
@@ -196,7 +196,7 @@ def test_only_files_are_removed_that_no_blend_shows(tmp_path):
         np.testing.assert_allclose(
             pixels(bpy.data.images["IRPSO icon base_color"]), found.values["base_color"], atol=4e-5
         )
-    remove_superseded()  # by the handler, before another file is loaded
+    remove_superseded(superseded())  # by the handler, before another file is loaded
     kept = {f"IRPSO_icon_{name}{number}.png" for name in ("base_color", "normal") for number in ("", "_2")}
     assert {path.name for path in (tmp_path / "maps").iterdir()} == kept
     bpy.ops.wm.open_mainfile(filepath=path)

@@ -193,11 +193,15 @@ def test_a_node_behind_the_surface_is_refused_and_a_reroute_is_none(kind, tmp_pa
     assert before == [len(getattr(bpy.data, name)) for name in ("materials", "node_groups")]
 
 
-@pytest.mark.parametrize("how", ["driver_add", "keyframe_insert"])
+@pytest.mark.parametrize("how", ["driver_add", "keyframe_insert", "strip"])
 def test_an_animated_surface_is_refused(how):
     (_, first), (_, second) = kept("metallic_roughness", 1, "a"), kept("metallic_roughness", 2, "b")
     socket = first.node_tree.get_output_node("ALL").inputs["Surface"].links[0].from_node.inputs["IOR"]
-    getattr(socket, how)("default_value")
+    getattr(socket, "driver_add" if how == "driver_add" else "keyframe_insert")("default_value")
+    if how == "strip":  # an action that is pushed down
+        animation = first.node_tree.animation_data
+        animation.nla_tracks.new().strips.new("a", 0, animation.action)
+        animation.action = None
     with pytest.raises(InputError, match="has a driver, or its tree has keyframes, which cannot be copied"):
         mix_materials(first, second)
 

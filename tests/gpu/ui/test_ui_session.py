@@ -6,12 +6,14 @@ import bpy
 import numpy as np
 import pytest
 
+from irpso_addon.blender.materials.material import build_material
 from irpso_addon.capture.images.exr import write_exr
 from irpso_addon.core.errors import InputError
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.maps import Maps
 from irpso_addon.results.write import write_maps
 from tests.builders import command_line as cli_maker
+from tests.gpu.blender.test_material import random_maps
 
 SHAPE = (10, 12)
 LIGHTS = cli_maker.dome_lights(12, widest=70)
@@ -363,3 +365,16 @@ def test_a_check_that_fails_loses_no_maps(scene, job, monkeypatch):
     assert any("no check today" in text for text in failures.messages())
     failures.clear()
     session.end()
+
+
+def test_a_file_that_cannot_be_opened_removes_no_picture_that_undo_shows(registered, tmp_path):
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    for seed in (0, 1):
+        build_material(random_maps(load_model("lambert"), seed), "icon", tmp_path)
+    assert len(list(tmp_path.glob("*.png"))) == 4
+    (tmp_path / "damaged.blend").write_bytes(b"BLENDER-v500damaged")
+    with pytest.raises(RuntimeError):
+        bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "damaged.blend"))
+    assert len(list(tmp_path.glob("*.png"))) == 4
+    bpy.ops.wm.read_homefile(use_empty=True)
+    assert len(list(tmp_path.glob("*.png"))) == 2

@@ -4,7 +4,7 @@ import shutil
 
 import pytest
 
-from irpso_addon.core.errors import InputError, ShaderError
+from irpso_addon.core.errors import InputError
 from irpso_addon.core.paths import MODELS
 from irpso_addon.gpu.library import read_source
 from irpso_addon.reflectance.model import digest_of_own_model, load_model, shipped_models
@@ -35,7 +35,13 @@ def test_the_digest_is_of_all_files_that_give_the_radiance(mine):
 
 @pytest.mark.parametrize(
     "definition",
-    ["float deviance_unit(float noise) { return noise; }", "#define SUPPORT_TAPS 4", "const float MAX_DEVIANCE = 1.0;"],
+    [
+        "float deviance_unit(float noise) { if (noise > 0.0) { return noise; } return 0.0; }",
+        "highp vec3[2] deviance_unit(vec3[2] noise) { return noise; }",
+        "  #  define SUPPORT_TAPS 4",
+        "const highp float MINE = 2.0, MAX_DEVIANCE = 1.0;",
+        "struct Pooled { float x; };",
+    ],
 )
 def test_a_name_of_a_pass_is_refused_before_anything_runs(mine, definition):
     shader = mine.with_suffix(".glsl")
@@ -45,6 +51,18 @@ def test_a_name_of_a_pass_is_refused_before_anything_runs(mine, definition):
     shader.write_text('#include "terms.glsl"\n' + shader.read_text(encoding="utf-8"), encoding="utf-8")
     with pytest.raises(InputError, match=r"terms.glsl: '\w+' is a name of the program .*; begin your own names with"):
         load_model(mine)
+    mine.with_name("terms.glsl").write_text("float of_mine(float x) { return x; }\n", encoding="utf-8")
+    load_model(mine)  # in the same session
+
+
+def test_a_use_of_a_passes_name_inside_a_function_is_no_definition(mine):
+    mine.with_name("terms.glsl").write_text(
+        "float of_mine(float x)\n{\nconst float SMALL = 2.0;\nfloat lit = x;\nif (x > SMALL) {\nreturn max(lit, x);\n}"
+        "\nreturn solve;\n}\n", encoding="utf-8",
+    )  # fmt: skip
+    shader = mine.with_suffix(".glsl")
+    shader.write_text('#include "terms.glsl"\n' + shader.read_text(encoding="utf-8"), encoding="utf-8")
+    load_model(mine)
 
 
 @pytest.mark.parametrize("name", shipped_models())
@@ -71,5 +89,5 @@ def test_a_shader_that_is_no_utf_8_is_refused(mine):
     shader.write_bytes("// Lambert, gezähmt\n".encode("latin-1") + shader.read_bytes())
     with pytest.raises(InputError, match="mine.glsl: cannot be read .*; save it as UTF-8"):
         load_model(mine)
-    with pytest.raises(ShaderError, match="mine.glsl: cannot be read .*; save it as UTF-8"):
+    with pytest.raises(InputError, match="mine.glsl: cannot be read .*; save it as UTF-8"):
         read_source(shader)

@@ -13,7 +13,9 @@ HOLE = np.array([[True, True], [True, False]])
 
 def test_a_map_of_bytes_is_refused_with_its_range():
     values = np.array([[[128], [200]], [[255], [0]]], np.float32)
-    with pytest.raises(InputError, match="fixed roughness: its values reach from 128 to 255; scale them to between 0"):
+    with pytest.raises(
+        InputError, match="roughness: its values reach from 128 to 255; scale or clip them to between 0"
+    ):
         full_map(MODEL, "roughness", values, HOLE)
     with pytest.raises(InputError, match="fixed base_color: its values reach from -1 to"):
         full_map(MODEL, "base_color", np.array([-1.0, 0.2, 0.3]), HOLE)
@@ -24,6 +26,14 @@ def test_values_slightly_outside_are_put_to_the_end_of_the_range_and_others_keep
     values = np.array([[[high + 1e-3], [0.3]], [[low], [-7]]], np.float32)
     found = full_map(MODEL, "roughness", values, HOLE)
     np.testing.assert_array_equal(found[HOLE], np.float32([[high], [0.3], [low]]))
+
+
+def test_single_texels_far_outside_do_not_refuse_a_map():
+    low, _ = MODEL.parameter("roughness").range
+    values = np.full((10, 10, 1), 0.3, np.float32)
+    values[:5, :2] = 0  # a polished part
+    found = full_map(MODEL, "roughness", values, np.ones((10, 10), bool))
+    np.testing.assert_array_equal(np.unique(found), np.float32([low, 0.3]))
 
 
 def test_unit_normals_keep_their_bits_and_what_holes_hold_does_not_count():
