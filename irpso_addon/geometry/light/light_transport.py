@@ -33,8 +33,8 @@ MAX_ELEMENTS = 1 << 13  # or the cells, if these are more
 
 @dataclass(frozen=True)
 class LightTransport:
-    """E elements of a mesh. texels: (E,) index of each among the H·W texels. directions: (R, E, 3) float32, world, each
-    as long as its cosine to the axis around which the rays are spread.
+    """E elements of a mesh. texels: (E,) index of each among the H·W texels. directions: (R, E, 3) float32 unit, world.
+    cosines: (R, E) float32, to the axes around which these are spread.
 
     hits: (R, E) int32, the element that a ray hits, −1 for none, the back of a face or an occluder. lit: (K, E) bool,
     whether neither mesh nor occluders block the way to each light. near: (T, 4) int32 and share: (T, 4)
@@ -44,6 +44,7 @@ class LightTransport:
 
     texels: np.ndarray
     directions: np.ndarray
+    cosines: np.ndarray
     hits: np.ndarray
     lit: np.ndarray
     near: np.ndarray
@@ -79,8 +80,8 @@ def light_transport_steps(
     steps = lit_steps(mesh, bake, elements.texels, lights, cast)
     lit = yield from map_steps(steps, lambda part: (rays + part * len(lights)) / total)
     around = yield from map_steps(elements.around_steps(), lambda step: 1.0)
-    directions *= np.einsum("rei,ei->re", directions, axes)[..., None]
-    return LightTransport(elements.texels, directions.astype(np.float32), hits, lit, *around)
+    cosines = np.einsum("rei,ei->re", directions, axes).astype(np.float32)
+    return LightTransport(elements.texels, directions.astype(np.float32), cosines, hits, lit, *around)
 
 
 def lit_steps(
