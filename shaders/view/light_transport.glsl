@@ -3,10 +3,10 @@
 // Writes o_radiance. u_to_camera = 1: radiance toward the camera, by light of other elements; in alpha by direct
 // light, mean of the channels. u_to_camera = 0: mean over all directions, with the light of each ray leaving in the
 // direction of another.
-// Reads estimates, geometry and observation table; u_rays, one layer per ray: direction in world space and the element
-// that it hits (−1: none), hits first, and a last layer with their number; u_lit: fractions of the lights that reach an
-// element; u_received: the means of the previous bounces. An element's indirect light is this mean if u_branches = 0,
-// else from u_branches rays: a lobe does not send the mean.
+// Reads estimates, geometry and observation table; u_rays, one layer per ray: direction in world space, as long as this
+// cosine, and the element that it hits (−1: none), hits first, and a last layer with their number; u_lit:
+// fractions of the lights that reach an element; u_received: the means of the previous bounces. An element's indirect
+// light is this mean if u_branches = 0, else from u_branches rays: a lobe does not send the mean.
 
 #include "common/estimate.glsl"
 #include "common/observation.glsl"
@@ -36,10 +36,10 @@ void received_at(ivec2 element, out vec3 received[LIGHTS])
     }
 }
 
-// Returns the throughput: the factor from the radiance along a ray (l) to radiance toward v.
-vec3 throughput_of(Material s, vec3 l, vec3 v)
+// Returns the throughput: the factor from the radiance along a ray to radiance toward v.
+vec3 throughput_of(Frame f, Material s, vec3 ray, vec3 v)
 {
-    return min(reflectance(s, l, v) / max(l.z, 1e-4), vec3(MAX_RADIANCE));
+    return min(reflectance(s, to_local(f, normalize(ray)), v) / max(length(ray), 1e-4), vec3(MAX_RADIANCE));
 }
 
 // Adds the radiances of an element toward a direction by direct light, times the throughput of the receiver.
@@ -89,12 +89,12 @@ void add_indirect(ivec2 element, vec3 toward, int first, vec3 throughput, inout 
     for (int b = 0; b < u_branches; b++) {
         vec4 ray = texelFetch(u_rays, ivec3(element, (first + b) % hits), 0);
         ivec2 other = texel_of_element(int(ray.w));
-        vec3 through = throughput_of(s, to_local(f, ray.xyz), v);
+        vec3 through = throughput_of(f, s, ray.xyz, v);
         received_at(other, received);
         for (int j = 0; j < LIGHTS; j++) {
             own[j] += through * received[j];
         }
-        add_direct(other, -ray.xyz, through, own);
+        add_direct(other, -normalize(ray.xyz), through, own);
     }
     float share = float(hits) / float(u_ray_count * u_branches);
     for (int j = 0; j < LIGHTS; j++) {
@@ -120,11 +120,12 @@ bool texel_kernel(ivec2 texel)
             ivec2 other = texel_of_element(int(ray.w));
             if (u_to_camera == 0) {
                 int leaving = int(fract(float(r + 1) * GOLDEN_RATIO) * float(u_ray_count));
-                v = to_local(f, texelFetch(u_rays, ivec3(texel, leaving), 0).xyz);
+                v = to_local(f, normalize(texelFetch(u_rays, ivec3(texel, leaving), 0).xyz));
             }
-            vec3 throughput = throughput_of(s, to_local(f, ray.xyz), v);
-            add_indirect(other, -ray.xyz, r * u_branches, throughput, sums);
-            add_direct(other, -ray.xyz, throughput, sums);
+            vec3 throughput = throughput_of(f, s, ray.xyz, v);
+            vec3 toward = -normalize(ray.xyz);
+            add_indirect(other, toward, r * u_branches, throughput, sums);
+            add_direct(other, toward, throughput, sums);
         }
         if (u_to_camera != 0) {
             add_direct(texel, to_world(f, v), vec3(1.0), direct);

@@ -25,6 +25,7 @@ _LIFT = 1e-4  # height of ray origins above the surface, as a fraction of the su
 # normals. It is 0.05 at 3.5 widths, or at 62°.
 _ALIKE = 0.05  # a texel less like all elements of its cell gets an element of its own
 _FOREIGN = 1e-3  # an element less like a texel gives it no light
+_NEAR_FACE = 0.985  # cosine of 10° between shading normal and face
 _FAR = 4.0  # widths of a cell between a ray's hit and an element that stands for it
 _CHUNK = 1 << 16  # texels at a time
 MAX_ELEMENTS = 1 << 13  # or the cells, if these are more
@@ -33,6 +34,7 @@ MAX_ELEMENTS = 1 << 13  # or the cells, if these are more
 @dataclass(frozen=True)
 class LightTransport:
     """E elements of a mesh. texels: (E,) index of each among the H·W texels. directions: (R, E, 3) float32 unit, world.
+    cosines: (R, E) float32, to the axes around which these are spread.
 
     hits: (R, E) int32, the element that a ray hits, −1 for none, the back of a face or an occluder. lit: (K, E) bool,
     whether neither mesh nor occluders block the way to each light. near: (T, 4) int32 and share: (T, 4)
@@ -42,6 +44,7 @@ class LightTransport:
 
     texels: np.ndarray
     directions: np.ndarray
+    cosines: np.ndarray
     hits: np.ndarray
     lit: np.ndarray
     near: np.ndarray
@@ -61,9 +64,11 @@ def light_transport_steps(
     """
     elements = _Elements(bake, resolution)
     yield from map_steps(elements.choose_steps(), lambda step: 0.0)
-    normals = bake.normal.reshape(-1, 3)[elements.texels].astype(np.float64)
     points, face = _ray_origins(mesh, bake, elements.texels)
-    directions = cosine_directions(normals, rays)
+    normals = bake.normal.reshape(-1, 3)[elements.texels].astype(np.float64)
+    # The horizon of a shading normal far from the face, as of a smooth-shaded box, hides what the face sees.
+    axes = np.where(np.einsum("ei,ei->e", normals, face)[:, None] < _NEAR_FACE, face, normals)
+    directions = cosine_directions(axes, rays)
     hits = np.full(directions.shape[:2], -1, np.int32)
     total = rays + len(lights)
     for number, direction in enumerate(directions):
@@ -75,7 +80,8 @@ def light_transport_steps(
     steps = lit_steps(mesh, bake, elements.texels, lights, cast)
     lit = yield from map_steps(steps, lambda part: (rays + part * len(lights)) / total)
     around = yield from map_steps(elements.around_steps(), lambda step: 1.0)
-    return LightTransport(elements.texels, directions.astype(np.float32), hits, lit, *around)
+    cosines = np.einsum("rei,ei->re", directions, axes).astype(np.float32)
+    return LightTransport(elements.texels, directions.astype(np.float32), cosines, hits, lit, *around)
 
 
 def lit_steps(
@@ -190,7 +196,10 @@ class _Elements:
                 facing = np.einsum("ni,ni->n", self._normals[element], normal) > 0
                 better = (element >= 0) & facing & (squared < least)
                 best[better], least[better] = element[better], squared[better]
-        front = np.einsum("ni,ni->n", normal, direction) < 0
+        corners = mesh.positions[triangle].astype(np.float64)
+        face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        face *= np.sign(np.einsum("ni,nki->n", face, mesh.normals[triangle]))[:, None]
+        front = np.einsum("ni,ni->n", face, direction) < 0
         solved = True if mesh.solved is None else mesh.solved[triangle]
         return np.where(front & solved, best, -1)
 

@@ -241,11 +241,12 @@ def _of_one_view(views: np.ndarray) -> list[np.ndarray]:
 
 
 def _hits_first(transport: LightTransport) -> np.ndarray:
-    """Return (R + 1, E, 4) float32: directions and hit elements, hits first, and a layer with their number."""
+    """Return (R + 1, E, 4) float32: directions as long as their cosines, and elements, hits first; last the number."""
     hit = transport.hits >= 0
     order = np.argsort(~hit, axis=0, kind="stable")
     rays = np.zeros((len(order) + 1, len(transport.texels), 4), np.float32)
-    rays[:-1, :, :3] = np.take_along_axis(transport.directions, order[..., None], axis=0)
+    long = transport.directions * transport.cosines[..., None]
+    rays[:-1, :, :3] = np.take_along_axis(long, order[..., None], axis=0)
     rays[:-1, :, 3] = np.take_along_axis(transport.hits, order, axis=0)
     rays[-1, :, 0] = hit.sum(axis=0)
     return rays

@@ -14,6 +14,7 @@ from irpso_addon.geometry.light.light_transport import light_transport_steps
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.solver.interreflection.indirect_light import IndirectLight
 from tests.builders.cavity import cavity, cavity_mesh
+from tests.builders.domains import unit
 from tests.builders.rounds import ALBEDO, LAMBERT
 from tests.oracles.reflectance import metallic_roughness
 
@@ -42,6 +43,20 @@ def test_a_closed_sphere_sends_on_its_albedo_at_every_bounce(bounces):
     wanted = sum(albedo ** (i + 1) for i in range(1, bounces + 1))
     np.testing.assert_allclose(found.mean(axis=0), wanted, rtol=0.01)
     np.testing.assert_allclose(found, np.broadcast_to(wanted, found.shape), rtol=0.05)
+
+
+def test_shading_normals_far_from_the_faces_hide_no_light():
+    # As of a smooth-shaded box. Shape and recovered normals are those of the sphere.
+    mesh, albedo = cavity_mesh(), np.array([0.8, 0.5, 0.1])
+    leaning = unit(mesh.normals + 0.8 * mesh.tangents[..., :3])
+    along = mesh.tangents[..., :3] - (mesh.tangents[..., :3] * leaning).sum(axis=-1, keepdims=True) * leaning
+    mesh = replace(mesh, normals=leaning, tangents=np.concatenate([unit(along), mesh.tangents[..., 3:]], axis=-1))
+    domain = cavity(mesh)
+    maps = maps_of(domain, base_color=albedo)
+    maps["normal"] = np.einsum("hwij,hwj->hwi", domain.bake.frames(), -domain.bake.position).astype(np.float32)
+    with closing(IndirectLight(domain, transport_of(mesh, domain), LAMBERT, maps, domain.solvable, 2)) as light:
+        found = light.samples(run_steps(light.of_elements())[0]).at(0, *np.nonzero(light.covered))
+    np.testing.assert_allclose(found.mean(axis=0), albedo**2 + albedo**3, rtol=0.02)
 
 
 @pytest.mark.parametrize("factor", [2.0**-14, 2.0**14])

@@ -20,7 +20,7 @@ def lit():
     near, share = rng.integers(0, COUNT, (texels, 4)), rng.dirichlet(np.ones(4), texels)
     radiance, detail = rng.random((3, COUNT, 3), np.float32), rng.random((texels, 3), np.float32)
     none = np.zeros((0, COUNT))
-    transport = LightTransport(np.arange(COUNT), none, none, none, near, share.astype(np.float32))
+    transport = LightTransport(np.arange(COUNT), none, none, none, none, near, share.astype(np.float32))
     light = np.zeros((3, *covered.shape, 3))
     light[:, covered] = np.einsum("ti,ktic->ktc", share, radiance[:, near]) * detail
     return domain, IndirectSamples(covered, transport, radiance, detail), light
