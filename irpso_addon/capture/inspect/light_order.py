@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from .shading import bright_samples, shading_errors
+from .shading import bright_samples, shading_errors, with_factors
 
 _MIN_PHOTOGRAPHS = 8  # photographs
 _MOVES = (1, -1, 2, -2)  # places by which a list may be moved
 _RANDOM = 5  # random orders that the lights are compared with
-_SCALINGS = 2  # times that the photographs' factors are fitted
 _RIGHT_ERROR = 0.02  # median error, as part of a pixel's bright sample: below, the order is right
 _BETTER = 0.5  # of the given order's error: at most that of a reversed or moved list that is right
 _MIN_ERROR = 0.07  # median error of a wrong order, as part of a pixel's bright sample: below, the order hardly matters
@@ -57,12 +56,7 @@ def light_order_message(values: np.ndarray, usable: np.ndarray, lamps: np.ndarra
 
 def _error(values: np.ndarray, used: np.ndarray, lamps: np.ndarray) -> float:
     """Return the median error of shading with a factor for each photograph, of mean 1 in the logarithm."""
-    for _ in range(_SCALINGS):
-        errors, weights = shading_errors(values, used, lamps)
-        products, squares = ((weights * one * values).sum(axis=1) for one in (values + errors, values))
-        factors = np.clip(products / np.maximum(squares, 1e-12), 0.5, 2)
-        values = values * (factors / np.exp(np.log(factors).mean()))[:, None]
-    return float(np.median(np.abs(shading_errors(values, used, lamps)[0])[used]))
+    return float(np.median(np.abs(shading_errors(with_factors(values, used, lamps), used, lamps)[0])[used]))
 
 
 def _moved(move: int) -> str:

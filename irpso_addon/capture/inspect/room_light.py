@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .shading import WIDTH, bright_samples, shading_errors
+from .shading import WIDTH, bright_samples, shading_errors, with_factors
 
 _OFFSETS = np.linspace(-0.2, 0.6, 17)  # candidates, as fractions of a pixel's bright sample
 # Least offset, and least loss without it over the loss with it: on a metal ball in a dark room that is up to 1.25.
@@ -25,7 +25,11 @@ def room_light(values: np.ndarray, usable: np.ndarray, lamps: np.ndarray) -> flo
     relative, used, lamps = samples
     losses = np.array([_loss(shading_errors(relative - offset, used, lamps)[0]) for offset in _OFFSETS])
     best, without = int(losses.argmin()), losses[int(np.abs(_OFFSETS).argmin())]
-    return float(_OFFSETS[best]) if _OFFSETS[best] >= _MIN_OFFSET and without > _BETTER * losses[best] else 0.0
+    if _OFFSETS[best] < _MIN_OFFSET or without <= _BETTER * losses[best]:
+        return 0.0
+    # On a nearly flat card lamps of unequal strength look like an offset.
+    unequal = _loss(shading_errors(with_factors(relative, used, lamps), used, lamps)[0])
+    return float(_OFFSETS[best]) if unequal > losses[best] else 0.0
 
 
 def room_light_message(part: float) -> str:

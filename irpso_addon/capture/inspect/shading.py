@@ -11,6 +11,7 @@ _DARKEST = 0.02  # of the bright sample: darker samples are shadow
 _MIN_SAMPLES = 6  # least lit samples of a pixel
 WIDTH = 0.03  # of the Cauchy weight, of the bright sample
 _ROUNDS = 5  # of reweighting
+_SCALINGS = 2  # times that the factors of photographs are fitted
 
 Samples = tuple[np.ndarray, np.ndarray, np.ndarray]
 
@@ -49,3 +50,13 @@ def shading_errors(values: np.ndarray, used: np.ndarray, lamps: np.ndarray) -> t
         error = np.where(used, np.maximum(shading, 0) - target, 0)
         weight = used * (shading > 0) / (1 + (error / WIDTH) ** 2)
     return error, weight
+
+
+def with_factors(values: np.ndarray, used: np.ndarray, lamps: np.ndarray) -> np.ndarray:
+    """Return values (K, P) with a factor for each photograph, ½ to 2 and of mean 1 in the logarithm, that fit best."""
+    for _ in range(_SCALINGS):
+        errors, weights = shading_errors(values, used, lamps)
+        products, squares = ((weights * one * values).sum(axis=1) for one in (values + errors, values))
+        factors = np.clip(products / np.maximum(squares, 1e-12), 0.5, 2)
+        values = values * (factors / np.exp(np.log(factors).mean()))[:, None]
+    return values

@@ -7,6 +7,7 @@ from irpso_addon.capture.inspect.report import inspect_capture
 from irpso_addon.capture.inspect.room_light import room_light
 from tests.builders.captures import decode_png, sphere, write_png
 from tests.builders.command_line import dome_lights
+from tests.builders.domains import unit
 from tests.oracles import reflectance as oracles
 
 VIEW = np.array([0.0, 0.0, 1.0])
@@ -71,3 +72,13 @@ def test_inspect_says_that_the_room_was_not_dark(part, expected, tmp_path):
     found = [finding for finding in inspect_capture(tmp_path, decode_png).findings if finding.code == "room_light"]
     assert len(found) == expected
     assert all("comes from no lamp" in finding.message and "--dark" in finding.message for finding in found)
+
+
+def test_unequal_lamps_over_a_nearly_flat_card_are_no_room_light():
+    lights, rng = dome_lights(8, 40), np.random.default_rng(5)
+    normals = unit(rng.normal(scale=0.03, size=(576, 3)) * (1, 1, 0) + (0, 0, 1))
+    albedo = 0.35 + 0.3 * rng.random(576)
+    for seed in range(12):
+        strengths = 0.6 * np.exp(0.3 * np.random.default_rng(seed).standard_normal(8))
+        values = np.maximum(lights @ normals.T, 0) * albedo * strengths[:, None]
+        assert room_light(values, values > 0, lights[:, None]) == 0, seed
