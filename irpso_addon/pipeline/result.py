@@ -32,6 +32,7 @@ from .job import Job
 from .run import Run
 
 _NO_EXTRAS = DerivedMaps()
+_OBLONG = 0.005  # relative difference of the sides of a pixel
 _MIN_SEEN = 0.1  # of the mesh's texels: with fewer, the mesh probably stands elsewhere
 _UNSTATED = (1.0, 1.0, 1.0)  # the intensity of lights in a capture that states none
 
@@ -99,7 +100,7 @@ def maps_warnings(run: Run, maps: Maps) -> list[str]:
     of_lights = _light_warnings(run, domain, maps)
     of_mesh = [*_coverage_warnings(domain, maps), *_unseen_warnings(domain, job.capture)]
     unsearched = unsearched_names(job.schedule, job.model, job.fixed)
-    return [*limit_warnings(maps, unsearched), *modes, *of_lights, *run.warnings, *of_mesh]
+    return [*limit_warnings(maps, unsearched), *modes, *of_lights, *run.warnings, *of_mesh, *_oblong_warnings(job)]
 
 
 def _coverage_warnings(domain: Domain, maps: Maps) -> list[str]:
@@ -110,6 +111,17 @@ def _coverage_warnings(domain: Domain, maps: Maps) -> list[str]:
     return [
         f"the photographs show {seen} of the mesh's {whole} texels lit: check the mesh's place and unit, --object and"
         " the cameras, and that its normals point outward"
+    ]
+
+
+def _oblong_warnings(job: Job) -> list[str]:
+    """Return a warning of a card whose pixels are no squares."""
+    width, height = (1 / scale for scale in job.capture.cameras[0].scale)
+    if job.mesh is not None or abs(width / height - 1) < _OBLONG:
+        return []
+    return [
+        f"the card's pixels are {width / height:.3g} times as wide as high: its normals and heights are right, but its"
+        " object, relief and ambient occlusion take pixels for squares; scale the photographs to square pixels"
     ]
 
 

@@ -2,12 +2,15 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import OpenEXR
 import pytest
 
+from irpso_addon.capture.camera import Camera
 from irpso_addon.commands.recover import _summary
+from irpso_addon.pipeline.result import _oblong_warnings
 from tests.builders import command_line as cli_maker
 from tests.builders.command_line import MODELS, angle, read_map, run_cli
 from tests.builders.recovered import FILES, LIGHTS, OTHERS, OWN, SHAPE, recovered_models
@@ -228,3 +231,10 @@ def test_the_summary_gives_errors_in_parts_of_white_and_what_the_photographs_dec
     assert "unseen photographs: RMS error 10.0% (20.0 dB)" in lines
     nothing = report | {"ground_truth": {"normal": {"unit": "°", "mean": None, "median": None, "p99": None}}}
     assert "normal against ground truth: nothing to compare" in _summary(nothing, Path("out"), 1.0)
+
+
+@pytest.mark.parametrize(("height", "mesh", "warned"), [(1.0, None, True), (2.0, None, False), (1.0, object(), False)])
+def test_a_card_of_oblong_pixels_gets_a_warning(height, mesh, warned):
+    camera = Camera(10, 10, (5.0, 10 / height), (5.0, 5.0), np.eye(4), False)
+    lines = _oblong_warnings(SimpleNamespace(mesh=mesh, capture=SimpleNamespace(cameras=[camera])))
+    assert [line[:46] for line in lines] == ["the card's pixels are 2 times as wide as high:"] * warned
