@@ -24,7 +24,7 @@ from ..results.derived_maps import DerivedMaps, derived_maps
 from ..results.maps import Maps
 from ..results.report import build_report, limit_warnings, mode_warnings, photograph_shares, prior_shares
 from ..solver.lights.checks import light_warnings
-from ..solver.lights.refine import contradiction
+from ..solver.lights.contradiction import contradiction
 from ..solver.settings.resolve import unsearched_names
 from ..solver.views.held_out import preview_names
 from ..solver.views.pictures import confidence_preview, error_preview

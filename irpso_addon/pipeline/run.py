@@ -27,8 +27,9 @@ from ..solver.engine.engine import RecoveryEngine
 from ..solver.engine.modes import with_modes
 from ..solver.engine.progress import Progress
 from ..solver.factory import planned_recovery
+from ..solver.lights.contradiction import can_tell
 from ..solver.lights.light_texels import draw_texels
-from ..solver.lights.refine import Lights, can_tell, chosen_steps
+from ..solver.lights.refine import Lights, chosen_steps
 from ..solver.planning.make_plan import covered_texels, make_plan, untiled
 from ..solver.planning.memory import free_memory
 from ..solver.planning.plan import Plan

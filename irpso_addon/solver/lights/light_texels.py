@@ -1,4 +1,4 @@
-"""A small subset of a domain's texels, as a domain, for the estimation of lights."""
+"""A small subset of a domain's texels, as a domain, for the estimation of lights; and the schedule for them."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from ...capture.bounds import without_bounds
 from ...geometry.domain import Domain, with_texels
+from ..settings.schedule import Schedule, load_schedule
 from ..state.prepare import light_vectors
 from .semi_calibrated import relative_intensities
 
@@ -105,3 +106,14 @@ def _grid(values: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     filled = np.zeros((shape[0] * shape[1], *values.shape[1:]), values.dtype)
     filled[: len(values)] = values
     return filled.reshape(*shape, *values.shape[1:])
+
+
+def texel_schedule(schedule: Schedule | None = None) -> Schedule:
+    """Return a schedule, by default ``standard``, for texels drawn at random and lights that may be wrong.
+
+    These have no neighbours: nothing makes their normals one surface. Shared materials stay.
+    """
+    return (schedule or load_schedule("standard")).without_rounds().replaced(
+        c3=0.0, neighbour_interval=0, refinement_rounds=0, refinement_race_iterations=0, prior_rounds=0,
+        surface_rounds=0, levels=1, prefit_indirect_share=0.0,
+    )  # fmt: skip

@@ -9,18 +9,18 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ...capture.light_geometry import NARROW, flatness
 from ...core.errors import InputError
-from ...core.steps import blocking, map_steps, run_steps
+from ...core.steps import blocking, map_steps
 from ...geometry.domain import Domain, subset, with_lights, with_samples
 from ...gpu.kernel import EntryChoice
 from ...gpu.program import ProgramCache
 from ...reflectance.model import ReflectanceModel
 from ..engine.recovery import Recovery
-from ..settings.schedule import Schedule, load_schedule
+from ..settings.schedule import Schedule
 from ..state.prepare import lambert_fit, texel_scale
+from .contradiction import can_tell, contradicted, rms
 from .fit import GAINS, MOVES, LightStep, Moving, axes_of, brightened, light_step
-from .light_texels import LightTexels, draw_texels, fixed_at
+from .light_texels import LightTexels, draw_texels, fixed_at, texel_schedule
 from .semi_calibrated import normalised
 
 MAX_DEGREES = 20.0  # of a refinement: larger errors need a calibration
@@ -33,13 +33,7 @@ _SLICE_SECONDS = 0.02
 _BRIGHT = 95.0  # percentile of the albedos; a common factor lowers it to _WHITE where it exceeds 1
 _WHITE = 0.9
 _DETERMINED = 0.01  # least LightStep.determined; below it a linear trend of the intensities is undetermined
-_SMALL = 256  # texels for the check of given intensities
-_CONTRADICTED = 0.1  # least RMS error of the intensities that is reported
-# Least fraction of the error that other intensities explain: 0.66 to 0.81 where they vary by 10 to 50 %, 0.48 for a
-# matte model on a glossy surface, 0.01 for correct intensities.
-_EXPLAINED = 0.6
 _MIN_FREE_LIGHTS = 4  # a Lambertian texel has three unknowns, which fit any three photographs
-_MIN_LIGHTS = 8  # least number for an estimate of intensities
 
 Intensities = Literal["auto", "given", "estimate"]
 
@@ -197,51 +191,13 @@ def chosen_steps(
 
     if intensities == "auto" and can_tell(domain, chosen):
         texels = texels or draw_texels(domain, seed, chosen)
-        if (yield from _contradicted(domain, model, seed, fixed, chosen, entry, texels)):
+        if (yield from contradicted(domain, model, seed, fixed, chosen, entry, texels)):
             lights = yield from search(True)
             if lights.determined >= _DETERMINED:
                 return lights
     if intensities != "estimate" and refine_degrees == 0:
         return None
     return (yield from search(intensities == "estimate"))
-
-
-def can_tell(domain: Domain, fitted: np.ndarray | None = None) -> bool:
-    """Return whether images determine the intensities, all given as 1: there are many, widely spread lights.
-
-    Under lights that lie close together a model error looks like other intensities, which turn normals: with twelve
-    photographs of a ball under lights within 22°, errors rise from 6.2 to 7.2°. fitted: the observations in the fit.
-    """
-    lights = domain.lights if fitted is None else domain.lights[fitted]
-    if not (domain.intensities == 1).all() or len(lights) < _MIN_LIGHTS:
-        return False
-    middle = domain.bake.position[domain.bake.coverage].mean(axis=0, dtype=np.float64)
-    toward = lights[:, :3] - np.where(lights[:, 3:] > 0, middle, 0.0)
-    return flatness(toward / np.linalg.norm(toward, axis=-1, keepdims=True)) >= NARROW
-
-
-def _contradicted(
-    domain: Domain,
-    model: ReflectanceModel,
-    seed: int,
-    fixed: Mapping[str, np.ndarray],
-    fitted: np.ndarray,
-    entry: EntryChoice,
-    texels: LightTexels,
-) -> Generator[float, None, bool]:
-    """Yield while some texels are recovered under the given lights; return whether the images contradict the lights.
-
-    No recovery runs where the first estimate, for matt texels, is near the given intensities.
-    """
-    if not len(texels.rows) or _rms(np.log(texels.factors)) < _CONTRADICTED:
-        return False
-    few = draw_texels(domain, seed, fitted, _SMALL)
-    part, fixed_values = subset(few.domain, fitted), fixed_at(fixed, few)
-    with Recovery(part, model, texel_schedule(), seed, fixed_values, entry) as recovery:
-        while not recovery.step(time_budget_s=_SLICE_SECONDS).done:
-            yield 0.0
-        values = recovery.maps(confidence=False).values
-    return _disagreement(part, model, values, frozenset(fixed)) is not None
 
 
 def check(intensities: bool, refine_degrees: float) -> None:
@@ -253,56 +209,6 @@ def check(intensities: bool, refine_degrees: float) -> None:
         )
     if not intensities and refine_degrees == 0:
         raise InputError("lights: choose what to estimate, intensities or directions; neither is chosen")
-
-
-def texel_schedule(schedule: Schedule | None = None) -> Schedule:
-    """Return a schedule, by default ``standard``, for texels drawn at random and lights that may be wrong.
-
-    These have no neighbours: nothing makes their normals one surface. Shared materials stay.
-    """
-    return (schedule or load_schedule("standard")).without_rounds().replaced(
-        c3=0.0, neighbour_interval=0, refinement_rounds=0, refinement_race_iterations=0, prior_rounds=0,
-        surface_rounds=0, levels=1, prefit_indirect_share=0.0,
-    )  # fmt: skip
-
-
-def contradiction(
-    domain: Domain, model: ReflectanceModel, values: Mapping[str, np.ndarray], fixed: frozenset[str], seed: int = 0
-) -> str:
-    """Return a warning if recovered maps contradict the given intensities, else "".
-
-    values: parameter name → (H, W, components) of the whole domain.
-    """
-    texels = draw_texels(domain, seed, np.arange(domain.observations), _SMALL)
-    if not len(texels.rows):
-        return ""
-    there = {name: texels.part(value) for name, value in values.items()}
-    try:
-        step = _disagreement(texels.domain, model, there, fixed)
-    except InputError as error:  # a model of the user's that is not finite: the maps are made all the same
-        return str(error)
-    if step is None:
-        return ""
-    remedy = (
-        "estimate them with --intensities estimate"
-        if can_tell(domain)
-        else "they are too few or too close together to be found from the images"
-    )
-    return (
-        "the images contradict the lights' intensities, all given as 1: they differ by about"
-        f" {_rms(step.gains):.0%} from light to light; give them, or {remedy}"
-    )
-
-
-def _disagreement(
-    domain: Domain, model: ReflectanceModel, values: Mapping[str, np.ndarray], fixed: frozenset[str]
-) -> LightStep | None:
-    """Return the step to better intensities; None if the recovered texels do not support one."""
-    fitness = load_schedule("standard").fitness
-    scale = texel_scale(domain, fitness.scale_percentile)
-    fitness = replace(fitness, delta=_WIDTHS[1])
-    step = run_steps(light_step(domain, model, values, fixed, scale, fitness, True, None))
-    return step if _rms(step.gains) >= _CONTRADICTED and step.explained >= _EXPLAINED else None
 
 
 class _Search:
@@ -355,7 +261,7 @@ class _Search:
                 self._factors = normalised(self._factors * np.exp(step.gains)) * common
             if self._moving is not None:
                 self._moving = replace(self._moving, moves=self._moving.moves + step.moves)
-            self._change = max(_rms(step.gains), _rms(step.moves))
+            self._change = max(rms(step.gains), rms(step.moves))
             if self._round == _ROUNDS or (self._round >= len(_WIDTHS) and self._change <= _SETTLED):
                 return step
 
@@ -403,7 +309,3 @@ def _white_factor(domain: Domain) -> float:
     albedo = lambert_fit(domain)[1][domain.solvable]
     bright = float(np.percentile(albedo.max(axis=-1), _BRIGHT)) if len(albedo) else 0.0
     return bright / _WHITE if bright > 1 else 1.0
-
-
-def _rms(changes: np.ndarray) -> float:
-    return float(np.sqrt((changes**2).mean()))

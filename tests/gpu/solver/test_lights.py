@@ -9,8 +9,9 @@ from irpso_addon.core.errors import InputError
 from irpso_addon.core.paths import MODELS
 from irpso_addon.geometry.domain import subset, with_samples
 from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.lights.contradiction import contradiction
 from irpso_addon.solver.lights.fit import Moving, axes_of
-from irpso_addon.solver.lights.refine import contradiction, estimate_lights, light_steps
+from irpso_addon.solver.lights.refine import estimate_lights, light_steps
 from tests.builders.domains import unit
 from tests.builders.lights import apart, gains, off, photographed, subject
 
