@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -36,14 +36,19 @@ class Frame:
     low: np.ndarray
     bits: int
 
+    @property
+    def curve_weight(self) -> np.ndarray:
+        """Weight (H, W), also 0 at colours of raw files above 1, where no response curve is defined."""
+        return np.where(self.high > 1, 0, self.weight)
+
 
 def read_frame(
     store: ImageStore, image: ImageRef, response: Response | None = None, size: tuple[int, int] | None = None
 ) -> Frame:
     """Read a photograph, linearised by a response curve, or without one by its colour space or profile.
 
-    size: required (width, height). Raises InputError if the file is unreadable, has another size, or holds floats and
-    ``response`` is not None.
+    With a curve, which ends at 1, colours of raw files above 1 have weight 0. size: required (width, height). Raises
+    InputError if the file is unreadable, has another size, or holds floats and ``response`` is not None.
     """
     profile = None
     if is_exr(image.path):
@@ -61,11 +66,26 @@ def read_frame(
             f"{image}: is {width}×{height} pixels instead of {size[0]}×{size[1]}; all photographs, dark frames and"
             " flat fields of a camera must have one size, unscaled and uncropped"
         )
-    rgb = samples.rgba[..., :3]
-    if response is not None:
-        rgb = response(np.broadcast_to(codes, (*codes.shape[:2], 3)))
-        rgb = profile.in_rec709(rgb) if profile else rgb
-    return Frame(rgb, samples.rgba[..., 3], codes.max(axis=-1), codes.min(axis=-1), bits)
+    frame = Frame(samples.rgba[..., :3], samples.rgba[..., 3], codes.max(axis=-1), codes.min(axis=-1), bits)
+    if response is None:
+        return frame
+    rgb = response(np.broadcast_to(codes, (*codes.shape[:2], 3)))
+    return replace(frame, rgb=profile.in_rec709(rgb) if profile else rgb, weight=frame.curve_weight)
+
+
+def read_codes(store: ImageStore, image: ImageRef) -> np.ndarray:
+    """Return (H, W, 3) codes / largest code of a photograph, 0…1, row 0 at the bottom.
+
+    Raises InputError for files of floats, which are linear.
+    """
+    picture = None if is_exr(image.path) else store.picture(image)
+    if picture is None or picture.bits == 32:
+        raise InputError(
+            f"{image}: holds linear floats, which have no response curve; omit --grey-card, or give the camera's own"
+            " files"
+        )
+    values = np.minimum(picture.values, 1)  # of raw files colours may lie above
+    return values[..., :3] if values.shape[-1] >= 3 else np.repeat(values[..., :1], 3, axis=-1)
 
 
 @dataclass(frozen=True)
