@@ -154,15 +154,39 @@ def test_a_cameras_first_image_may_be_left_out_as_damaged(tmp_path):
     assert_shows_the_point(capture)
 
 
-@pytest.mark.parametrize(("tag", "mask_tag", "doubted"), [(3, None, True), (1, None, False), (3, 3, False)])
-def test_a_mask_that_may_lie_as_the_stored_photograph_is_a_warning(tmp_path, tag, mask_tag, doubted):
-    scan(tmp_path)
-    write_png(tmp_path / "IMG_1.png", spot(), extra=chunk(b"eXIf", exif(orientation=tag)))
+@pytest.mark.parametrize(
+    ("size", "tag", "mask_tag", "doubted"),
+    [
+        ((64, 48), 3, None, True),
+        ((64, 48), 1, None, False),
+        ((64, 48), 3, 3, False),
+        ((64, 48), 6, None, False),  # the mask's size tells that it is upright
+        ((64, 48), 8, None, False),
+        ((48, 48), 6, None, True),
+        ((48, 48), 8, 8, False),
+    ],
+)
+def test_a_mask_that_may_lie_as_the_stored_photograph_is_a_warning(tmp_path, size, tag, mask_tag, doubted):
+    scan(tmp_path, width=size[0], height=size[1])
+    write_png(tmp_path / "IMG_1.png", spot(*size), extra=chunk(b"eXIf", exif(orientation=tag)))
     extra = chunk(b"eXIf", exif(orientation=mask_tag)) if mask_tag else b""
-    write_png(tmp_path / "mask.png", np.full((48, 64, 1), 255), extra=extra)
+    mask = np.full((*(size[::-1] if tag < 6 or mask_tag else size), 1), 255)
+    write_png(tmp_path / "mask.png", mask, extra=extra)
     listed(tmp_path, "IMG_1.png", more='[[camera]]\nname = "IMG_1.jpg"\nmask = "mask.png"\n')
     warnings = read_capture(tmp_path, decode).warnings
     assert len(warnings) == doubted and all("mask.png: the photographs have the EXIF or" in text for text in warnings)
+
+
+def test_a_cameras_photograph_is_read_once_for_its_turn(tmp_path, monkeypatch):
+    read, real = [], image.read_header
+    monkeypatch.setattr(image, "read_header", lambda path: read.append(path.name) or real(path))
+    scan(tmp_path)
+    for name in "ab":
+        write_png(tmp_path / f"{name}.png", spot())
+    rows = "".join(f'[[observation]]\nimage = "{name}.png"\ncamera = "IMG_1"\n{LIT}' for name in "ab")
+    (tmp_path / "capture.toml").write_text(f'cameras = "colmap"\n{rows}')
+    read_capture(tmp_path, decode)
+    assert sorted(read) == ["a.png", "a.png", "b.png"]  # the second for the sizes of all
 
 
 def test_a_mask_on_its_side_is_to_be_turned(tmp_path):
