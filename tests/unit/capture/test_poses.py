@@ -183,6 +183,11 @@ def test_a_metashape_sensor_without_a_calibration_leaves_the_other_cameras_usabl
     assert list(found.cameras) == ["IMG_0001"] and words in found.unusable["B"]
 
 
+def test_a_metashape_sensor_of_an_empty_type_has_a_frame_lens(tmp_path):
+    found = read_poses(metashape(tmp_path / "a.xml", kind=""))
+    assert_sees(found.cameras["IMG_0001"], metashape_pixels(TERMS))
+
+
 def test_a_repeated_label_is_reported_only_if_used(tmp_path):
     other = f'<camera id="8" sensor_id="0" label="other"><transform>{row(np.eye(4))}</transform></camera>'
     again = '<camera id="9" sensor_id="0" label="IMG_0001"/><camera id="10" sensor_id="0" label="IMG_0001"/>'
