@@ -88,12 +88,17 @@ def test_an_exr_states_a_turn_only_if_it_has_one(tmp_path):
     assert read_exr_header(tmp_path / "a.exr")[0].turn is None
 
 
-def test_an_upright_picture_without_a_turn_is_not_called_cropped(tmp_path):
-    write_png(tmp_path / "IMG_1.png", np.full((64, 48, 3), 9))
-    scan(tmp_path)
+@pytest.mark.parametrize("orientation", [None, 1, 3])
+@pytest.mark.parametrize(("picture", "camera"), [((48, 64), (64, 48)), ((64, 48), (48, 64))])
+def test_a_quarter_turn_that_no_tag_states_is_not_called_cropped(tmp_path, picture, camera, orientation):
+    extra = chunk(b"eXIf", exif(orientation=orientation)) if orientation else b""
+    write_png(tmp_path / "IMG_1.png", np.full((*picture[::-1], 3), 9), extra=extra)
+    scan(tmp_path, width=camera[0], height=camera[1])
     listed(tmp_path, "IMG_1.png")
-    with pytest.raises(CaptureError, match=r"upright \(48×64 pixels\), its camera that of the stored one \(64×48\)"):
+    with pytest.raises(CaptureError) as error:
         read_capture(tmp_path, decode)
+    sizes = "the picture is {}×{} pixels, its camera {}×{}".format(*picture, *camera)
+    assert f"{sizes}, and no EXIF orientation in its file states a quarter turn; give the photo" in str(error.value)
 
 
 STATED = "<orientation>{}</orientation><transform>"
