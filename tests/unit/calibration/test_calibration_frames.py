@@ -1,5 +1,6 @@
 """Dark frames, flat fields, white balance and merged brackets, against scenes that are known."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from irpso_addon.calibration.developing.greys import patch_response
 from irpso_addon.calibration.radiometry.frames import (
+    Flat,
     Frame,
     Patch,
     divided_by,
@@ -195,6 +197,7 @@ def test_floats_above_1_are_not_taken_for_clipped():
 
 
 RAW = ImageRef(Path("a.dng"))
+EVEN = Flat(np.ones((4, 4, 3), np.float32), np.ones((4, 4), bool))
 
 
 def decoded(monkeypatch, rgb, bits=16, top=2.0):
@@ -226,6 +229,23 @@ def test_a_grey_patch_of_a_raw_file_has_no_colour_beyond_1(monkeypatch):
     store, patches = decoded(monkeypatch, rgb), (Patch(0, 0, 10, 10, 0.1), Patch(10, 0, 10, 10, 0.7))
     with pytest.raises(InputError, match="a.dng: 40% of the patch 10,0,10,10 are clipped"):
         patch_response(store, RAW, patches)
+
+
+def test_strong_colours_of_raw_brackets_come_from_all_frames_that_saturate_no_photosite(monkeypatch):
+    """The optimal mean of independent frames: weights of the inverse variance 1 / (X + k / t) (Hasinoff 2010)."""
+    amounts, read_noise = (1.0, 4.0), READ**2 / WELL
+    frames = []
+    for values in ((0.36, 0.05, 0.02), (1.52, 0.19, 0.09)):
+        frames.append(read_frame(decoded(monkeypatch, np.full((4, 4, 3), values)), RAW))
+    x, t = np.stack([f.rgb[0, 0] for f in frames]).astype(np.float64), np.array(amounts)[:, None]
+    w = 1 / (x.sum(axis=0) / t.sum() + read_noise / t)
+    best = (w * x).sum(axis=0) / (w * t).sum(axis=0)
+    for bracket in (frames, [without_dark(divided_by(f, EVEN), np.zeros((4, 4, 3)), "a") for f in frames]):
+        np.testing.assert_allclose(merge(bracket, amounts)[0, 0], (*best, 1), rtol=1e-5)
+    lower = merge(frames, amounts, saturated=0.9)
+    np.testing.assert_allclose(lower[0, 0], (0.36, 0.05, 0.02, 1), rtol=1e-5)
+    png = [replace(f, raw=False) for f in frames]
+    np.testing.assert_allclose(merge(png, amounts)[0, 0], (0.36, 0.05, 0.02, 1), rtol=1e-5)
 
 
 @pytest.mark.parametrize("suffix", ["exr", "hdr"])
