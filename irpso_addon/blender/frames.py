@@ -20,7 +20,7 @@ from .movie import Movie, opened_movie
 
 COUNT = 40  # photographs, where no number is given
 _MAX_REPEATED = 0.05  # of the frames compared: more equal the one before in all bits, and no camera is without noise
-_DAMAGED = "the video may be damaged or cut off: look at the photographs, or copy the video again"
+_LOOK = "look at the photographs, and copy the video again if they are broken"
 _SEARCH_SHARE = 0.8  # of the work: the search for frames of different light; the rest writes
 
 
@@ -68,7 +68,10 @@ def frame_steps(videos: Sequence[Path], out: Path, count: int = COUNT) -> Genera
                 encode_png(folder / files[-1], picture.values, picture.bits, movie.cicp)
             moved = check_camera(greys, where)
     if changed:
-        warnings.append(f"{where}: {changed} of the photographs changed when they were read again; {_DAMAGED}")
+        warnings.append(
+            f"{where}: {changed} of the photographs changed when they were read again; the video may be damaged:"
+            f" {_LOOK}"
+        )
     if moved:
         warnings.append(f"{where}: {moved} of the frames are shifted; irpso develop --register can correct that")
     if len(chosen) < count:
@@ -98,7 +101,10 @@ def _chosen_steps(
     warnings = []
     repeated = sum(one == other for one, other in itertools.pairwise(digests))
     if repeated > _MAX_REPEATED * len(digests):
-        warnings.append(f"{where}: {repeated} of {len(digests)} frames repeat the one before; {_DAMAGED}")
+        warnings.append(
+            f"{where}: {repeated} of {len(digests)} frames repeat the one before; the video may be damaged or cut"
+            f" off, or its frame rate varies: {_LOOK}"
+        )
     return {places[k]: digests[k] for k in chosen_frames(looks, count, where)}, warnings
 
 

@@ -336,14 +336,16 @@ def _mask(view: ViewSpec, size: tuple[int, int], store: ImageStore, faults: list
 def _mask_doubt(view: ViewSpec, images: Sequence[ImageRef], store: ImageStore) -> str:
     """Return a warning if a mask may lie as the stored photographs do, whose camera another program gave; "" if not.
 
-    Metashape and COLMAP write masks so, without an EXIF orientation.
+    Metashape and COLMAP write masks so, without an EXIF orientation. After a quarter turn (5 to
+    8) its size tells, unless the photographs are square.
     """
     if view.mask is None or not view.foreign or not images:
         return ""
     turned_by, own = store.turned_by(images[0]), 0
     with suppress(CaptureError):  # _mask reports it
         own = store.turned_by(view.mask)
-    if turned_by == 1 or own != 1:
+    width, height = store.size(images[0])
+    if turned_by == 1 or own != 1 or (turned_by >= 5 and width != height):
         return ""
     return (
         f"{view.mask}: the photographs have the EXIF orientation {turned_by}, the mask none; it must be upright, as"

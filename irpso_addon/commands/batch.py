@@ -8,7 +8,7 @@ import sys
 import time
 import traceback
 from argparse import Namespace
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ from ..results.report import plain
 from ..results.write import REPORT
 from ..solver.state.checkpoint import check_replaceable
 from . import recover
-from .options.origin import is_same_origin, name_of, origin_of
+from .options.origin import foreign_path, has_same_others, is_same_origin, name_of, origin_of
 from .options.values import numbers_of_text, silent
 
 _PATHS = ("capture", "blend", "ground_truth", "asset")  # keys whose values are relative to the list
@@ -57,7 +57,7 @@ class Row:
 
     listed: the same words with paths as in the list, which identify the job even if the list has moved. rig: applied to
     the job's capture, which is then a folder of photographs. former_name: default name of the job in version 0.1.0;
-    None for a job with a name.
+    None for a job with a name. others: other files that it reads, by their place in the list, as its mesh.
     """
 
     name: str
@@ -65,6 +65,7 @@ class Row:
     listed: tuple[str, ...]
     rig: Path | None = None
     former_name: str | None = None
+    others: tuple[Path, ...] = ()
 
     def folder(self, output: Path) -> Path:
         """Return the folder of the job's result."""
@@ -207,10 +208,20 @@ def _job(row: dict[str, Any], number: int, path: Path, parse: Parse) -> Row:
         parse([*words, "-o", name])
     except InputError as error:
         raise InputError(f"{where}: {str(error).partition('; see ')[0]}; keys are the options of recover") from error
-    former = None if "name" in row else Path(row["capture"]).stem
+    former, others = None if "name" in row else Path(row["capture"]).stem, tuple(_others(row, path.absolute()))
     if rig is None:
-        return Row(name, tuple(words), tuple(listed), None, former)
-    return Row(name, tuple(words), (*listed, _RIG, rig), path.parent / rig, former)
+        return Row(name, tuple(words), tuple(listed), None, former, others)
+    return Row(name, tuple(words), (*listed, _RIG, rig), path.parent / rig, former, others)
+
+
+def _others(row: dict[str, Any], path: Path) -> Iterator[Path]:
+    """Yield the files besides the capture that a job reads, where the list names them by their place beside it."""
+    for key, value in row.items():
+        for one in value if isinstance(value, list) else [value]:
+            if key in ("name", "capture", "asset") or not isinstance(one, str):
+                continue
+            if (word := _beside(path, key, one)) != one:
+                yield Path(word.partition("=")[2] if key == "fixed" else word)
 
 
 def _check_known(option: str, parse: Parse) -> None:
@@ -274,7 +285,7 @@ def _run_job(job: Row, output: Path, options: Namespace) -> dict[str, Any]:
     capture = job.capture(output)
     resume = same and (folder / CHECKPOINT).is_file()
     _say(options, f"{job.name}: {'continues' if resume else 'starts'}")
-    origin = origin_of(job.photographs, job.rig, output)
+    origin = origin_of(job.photographs, job.rig, job.others, output)
     state = {"name": job.name, "words": list(job.listed), "origin": origin, "state": "begun"}
     write_json(file, plain(state))
     words = [*job.words, "-o", str(folder), *["--resume"] * resume, *["--quiet"] * silent(options)]
@@ -324,10 +335,11 @@ def _photographs(listed: Sequence[str]) -> list[str]:
 
 
 def _is_elsewhere(job: Row, former: dict[str, Any], output: Path) -> bool:
-    """Return whether a former job had the same words for its photographs, in another list with other ones."""
-    if "words" not in former or _photographs(former["words"]) != _photographs(job.listed):
-        return False
-    return not is_same_origin(former.get("origin"), job.photographs, job.rig, output)
+    """Return whether a former job of this name had other photographs, or with the same words other files."""
+    origin = former.get("origin")
+    if not is_same_origin(origin, job.photographs, job.rig, output):
+        return True
+    return former.get("words") == list(job.listed) and not has_same_others(origin, job.others, output)
 
 
 def _refusal(job: Row, former: dict[str, Any], moved: bool, output: Path) -> str | None:
@@ -337,7 +349,8 @@ def _refusal(job: Row, former: dict[str, Any], moved: bool, output: Path) -> str
     if job.rig is not None and capture.is_dir() and (moved or made_of != _photographs(job.listed)):
         return f"{capture}: may be of other photographs or another rig; delete or rename it"
     if moved and any((folder / written).is_file() for written in (REPORT, CHECKPOINT)):
-        of, state = former["origin"]["paths"][0], job.state_file(output)
+        of = foreign_path(former["origin"], job.photographs, job.rig, job.others)
+        state = job.state_file(output)
         return f"{folder}: is of {of}; choose another name or -o, or delete {state} to replace it"
     return None
 

@@ -11,11 +11,10 @@ import numpy as np
 from ..blender.images import decode
 from ..calibration.developing.greys import AUTO, MATT_ONLY, grey_row_response, patch_response
 from ..calibration.radiometry.curve_file import write_response
-from ..calibration.radiometry.frames import Patch
+from ..calibration.radiometry.frames import Patch, read_codes
 from ..calibration.radiometry.response import Response, bracket_step, response_from_brackets
 from ..calibration.radiometry.source import Exposing, brackets_of_images, images_in
 from ..capture.formats.diligent import is_mask
-from ..capture.images.exr_header import is_exr
 from ..capture.images.image import ImageRef, ImageStore
 from ..core.errors import InputError
 from ..core.files import check_unused
@@ -75,7 +74,7 @@ def _from_brackets(path: Path, exposing: Exposing, store: ImageStore, options: N
     brackets = [bracket for bracket in brackets if len(bracket.paths) > 1]
     for k, bracket in enumerate(brackets):
         bar.show(k / len(brackets), bracket.name)
-        codes = [_codes(store, ImageRef(p)) for p in bracket.paths]
+        codes = [read_codes(store, ImageRef(p)) for p in bracket.paths]
         if len({one.shape for one in codes}) > 1:
             raise InputError(f"{bracket.paths[0]}: the sizes in its bracket differ; do not crop photographs")
         samples.append(spread_samples(np.stack(codes, axis=-2), _SAMPLES // len(brackets)))
@@ -89,15 +88,6 @@ def _from_brackets(path: Path, exposing: Exposing, store: ImageStore, options: N
             " photograph brackets with steps of one stop"
         )
     return response_from_brackets(samples, exposures), warnings
-
-
-def _codes(store: ImageStore, image: ImageRef) -> np.ndarray:
-    """Return (H, W, 3) codes / largest code of a photograph."""
-    picture = None if is_exr(image.path) else store.picture(image)
-    if picture is None or picture.bits == 32:
-        raise InputError(f"{image}: holds linear floats, which have no response curve; give the camera's own files")
-    values = np.minimum(picture.values, 1)  # of raw files colours may lie above
-    return values[..., :3] if values.shape[-1] >= 3 else np.repeat(values[..., :1], 3, axis=-1)
 
 
 def spread_samples(codes: np.ndarray, count: int) -> np.ndarray:

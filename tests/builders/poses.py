@@ -12,6 +12,7 @@ RNG = np.random.default_rng(3)
 # Points up to 25° off its axis.
 SEEN = np.c_[RNG.uniform(-0.45, 0.45, (12, 2)), np.ones(12)] * RNG.uniform(2, 6, (12, 1))
 POINTS = SEEN @ ROTATION + CENTRE
+POSE = "1 0 0 0 1 2 3"  # of a line of COLMAP's images.txt
 
 
 def quaternion(rotation):
@@ -23,6 +24,13 @@ def quaternion(rotation):
 
 def row(values):
     return " ".join(repr(float(value)) for value in np.ravel(values))
+
+
+def assert_sees(camera, pixels, points=POINTS, atol=1e-9):
+    """The points fall on pixels (N, 2) that count from the upper left corner."""
+    found, depth = camera.project(np.asarray(points))
+    assert (depth > 0).all()
+    np.testing.assert_allclose(np.c_[found[:, 0], camera.height - found[:, 1]], pixels, atol=atol)
 
 
 # ---- COLMAP

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...capture.images.exr_header import is_exr
 from ...capture.images.image import ImageRef, ImageStore
 from ...core.errors import InputError
 from ..charts.search import find_chart
 from ..radiometry.colour_chart import patch_colours
 from ..radiometry.colour_fit import GREY, sample_chart
-from ..radiometry.frames import Patch, patch_mean, read_frame
+from ..radiometry.frames import Patch, patch_mean, read_codes, read_frame
 from ..radiometry.response import Response, measurable, response_from_patches
 
 AUTO = "auto"
@@ -27,7 +26,7 @@ def patch_response(store: ImageStore, image: ImageRef, patches: tuple[Patch, ...
     """
     if any(patch.reflectance is None for patch in patches):
         raise InputError("--grey-card: give each patch's reflectance, as in --grey-card 100,220,40,40=0.18")
-    codes, weight = _codes(store, image), read_frame(store, image).weight
+    codes, weight = read_codes(store, image), read_frame(store, image).curve_weight
     means = [patch_mean(codes, weight, patch, f"--grey-card: {image}") for patch in patches]
     return response_from_patches(np.array(means), [patch.reflectance or 0.0 for patch in patches])
 
@@ -38,21 +37,13 @@ def grey_row_response(store: ImageStore, image: ImageRef) -> Response | None:
     The search for the chart and its uneven illumination assume the file's stated curve. Raises InputError if fewer than
     two greys are neither clipped nor black.
     """
-    codes, frame = _codes(store, image), read_frame(store, image)
+    codes, frame = read_codes(store, image), read_frame(store, image)
     where = f"--grey-card auto: {image}"
     found = find_chart(np.concatenate([frame.rgb, frame.weight[..., None]], axis=-1), where)
     if found is None:
         return None
-    coded = np.concatenate([codes, frame.weight[..., None]], axis=-1)
+    coded = np.concatenate([codes, frame.curve_weight[..., None]], axis=-1)
     chart = sample_chart(coded, found.corners, where)
     radiance = np.exp(chart.places @ found.fit.shading) * patch_colours().reshape(-1, 3).mean(axis=-1)
     usable = np.flatnonzero((chart.usable & measurable(chart.values))[GREY]) + GREY.start
     return response_from_patches(chart.values[usable], radiance[usable].tolist())
-
-
-def _codes(store: ImageStore, image: ImageRef) -> np.ndarray:
-    """Return (H, W, 3) codes / largest code, row 0 at the bottom. Raises InputError for linear files."""
-    if is_exr(image.path):
-        raise InputError(f"{image}: is a linear EXR without a response curve; omit --grey-card")
-    values = np.minimum(store.picture(image).values, 1)  # of raw files colours may lie above
-    return values[..., :3] if values.shape[-1] >= 3 else np.repeat(values[..., :1], 3, axis=-1)

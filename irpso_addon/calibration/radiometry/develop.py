@@ -7,7 +7,7 @@ registration.
 from __future__ import annotations
 
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -120,7 +120,7 @@ def _aligned(frames: list[Frame], amounts: Sequence[float]) -> tuple[list[Frame]
         rgba = moved_back(np.concatenate([frame.rgb, frame.weight[..., None]], axis=-1), right, up)
         codes = np.stack([frame.high, frame.low, frame.low, np.ones_like(frame.low)], axis=-1)
         codes = moved_back(codes, right, up)
-        result.append(Frame(rgba[..., :3], rgba[..., 3], codes[..., 0], codes[..., 1], frame.bits))
+        result.append(replace(frame, rgb=rgba[..., :3], weight=rgba[..., 3], high=codes[..., 0], low=codes[..., 1]))
     return result, shifts.pixels.round(4).tolist()
 
 

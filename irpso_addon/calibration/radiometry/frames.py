@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from ...capture.images.exif import SAME_STOPS
 from ...capture.images.exr_header import is_exr
 from ...capture.images.image import ImageRef, ImageStore
+from ...capture.images.raw import is_raw
 from ...core.errors import InputError
 from .response import Response
 
@@ -27,7 +28,8 @@ class TooDark(InputError):
 class Frame:
     """One photograph. rgb: (H, W, 3) float32, linear, row 0 at the bottom. weight: (H, W), 0 where clipped.
 
-    high, low: (H, W), largest and smallest of a pixel's codes / largest code. bits: 8 to 16, or 32 for floats.
+    high, low: (H, W), largest and smallest of a pixel's codes / largest code; of raw files of its colours, which may
+    exceed 1. bits: 8 to 16, or 32 for floats. raw: of a raw file, whose weight is 0 where a photosite is saturated.
     """
 
     rgb: np.ndarray
@@ -35,6 +37,12 @@ class Frame:
     high: np.ndarray
     low: np.ndarray
     bits: int
+    raw: bool = False
+
+    @property
+    def curve_weight(self) -> np.ndarray:
+        """Weight (H, W), also 0 at colours of raw files above 1, where no response curve is defined."""
+        return np.where(self.high > 1, 0, self.weight)
 
 
 def read_frame(
@@ -42,8 +50,8 @@ def read_frame(
 ) -> Frame:
     """Read a photograph, linearised by a response curve, or without one by its colour space or profile.
 
-    size: required (width, height). Raises InputError if the file is unreadable, has another size, or holds floats and
-    ``response`` is not None.
+    With a curve, which ends at 1, colours of raw files above 1 have weight 0. size: required (width, height). Raises
+    InputError if the file is unreadable, has another size, or holds floats and ``response`` is not None.
     """
     profile = None
     if is_exr(image.path):
@@ -61,11 +69,27 @@ def read_frame(
             f"{image}: is {width}×{height} pixels instead of {size[0]}×{size[1]}; all photographs, dark frames and"
             " flat fields of a camera must have one size, unscaled and uncropped"
         )
-    rgb = samples.rgba[..., :3]
-    if response is not None:
-        rgb = response(np.broadcast_to(codes, (*codes.shape[:2], 3)))
-        rgb = profile.in_rec709(rgb) if profile else rgb
-    return Frame(rgb, samples.rgba[..., 3], codes.max(axis=-1), codes.min(axis=-1), bits)
+    weight, raw = samples.rgba[..., 3], is_raw(image.path)
+    frame = Frame(samples.rgba[..., :3], weight, codes.max(axis=-1), codes.min(axis=-1), bits, raw)
+    if response is None:
+        return frame
+    rgb = response(np.broadcast_to(codes, (*codes.shape[:2], 3)))
+    return replace(frame, rgb=profile.in_rec709(rgb) if profile else rgb, weight=frame.curve_weight)
+
+
+def read_codes(store: ImageStore, image: ImageRef) -> np.ndarray:
+    """Return (H, W, 3) codes / largest code of a photograph, 0…1, row 0 at the bottom.
+
+    Raises InputError for files of floats, which are linear.
+    """
+    picture = None if is_exr(image.path) else store.picture(image)
+    if picture is None or picture.bits == 32:
+        raise InputError(
+            f"{image}: holds linear floats, which have no response curve; omit --grey-card, or give the camera's own"
+            " files"
+        )
+    values = np.minimum(picture.values, 1)  # of raw files colours may lie above
+    return values[..., :3] if values.shape[-1] >= 3 else np.repeat(values[..., :1], 3, axis=-1)
 
 
 @dataclass(frozen=True)
@@ -122,7 +146,7 @@ def without_dark(frame: Frame, dark: np.ndarray, where: str) -> Frame:
     rgb = frame.rgb - dark
     if np.percentile(rgb.max(axis=-1), _LIT_PERCENTILE) <= 0:
         raise TooDark(f"{where}: is no brighter than the dark frame; check which files --dark names")
-    return Frame(rgb, frame.weight, frame.high, frame.low, frame.bits)
+    return replace(frame, rgb=rgb)
 
 
 @dataclass(frozen=True)
@@ -160,7 +184,7 @@ def mean_flat(frames: Iterable[Frame], floor: float = FLAT_FLOOR) -> Flat:
 
 def divided_by(frame: Frame, flat: Flat) -> Frame:
     """Return a frame divided by a flat field; weight 0 where the flat field is unusable."""
-    return Frame(frame.rgb / flat.field, np.where(flat.usable, frame.weight, 0), frame.high, frame.low, frame.bits)
+    return replace(frame, rgb=frame.rgb / flat.field, weight=np.where(flat.usable, frame.weight, 0))
 
 
 @dataclass(frozen=True)

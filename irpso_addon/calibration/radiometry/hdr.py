@@ -24,9 +24,9 @@ _BLACK = {8: 2.5 / 255}
 def merge(frames: Sequence[Frame], amounts: Sequence[float], saturated: float = SATURATED) -> np.ndarray:
     """Merge a bracket to (H, W, 4) float32: radiance at an exposure of 1, and weight.
 
-    amounts: exposures, above 0. saturated: code / largest code from which pixels are excluded; the shortest frame keeps
-    all unclipped pixels. Nearly black pixels of 8-bit files are excluded if a longer frame shows them. A pixel without
-    a usable frame has weight 0 and the shortest frame's value, a lower bound.
+    amounts: exposures, above 0. saturated: code / largest code from which pixels are excluded, of raw files only if it
+    is below 0.98; the shortest frame keeps all unclipped pixels. Nearly black pixels of 8-bit files are excluded if a
+    longer frame shows them. A pixel without a usable frame has weight 0 and the shortest frame's value, a lower bound.
     """
     order = np.argsort(amounts)
     usable = np.stack([_usable(frames[i], saturated if rank else np.inf) for rank, i in enumerate(order)])
@@ -53,6 +53,10 @@ def merge(frames: Sequence[Frame], amounts: Sequence[float], saturated: float = 
 
 
 def _usable(frame: Frame, saturated: float) -> np.ndarray:
-    """Return bool (H, W): pixels with weight, below saturation. Float files with values above 1 do not saturate."""
-    unlimited = frame.bits == 32 and frame.high.max(initial=0) > 1 + 1e-4
+    """Return bool (H, W): pixels with weight, below saturation. Float files with values above 1 do not saturate.
+
+    Of raw files the weight tells where photosites saturate, which a strong colour does not: only a lower limit than
+    the usual one applies.
+    """
+    unlimited = (frame.raw and saturated >= SATURATED) or (frame.bits == 32 and frame.high.max(initial=0) > 1 + 1e-4)
     return (frame.weight > 0) & (unlimited | (frame.high < saturated))

@@ -75,21 +75,20 @@ class Views:
 
     def _posed(self, poses: PoseFile, name: str) -> ViewSpec:
         camera, where = poses.cameras[name], f"{poses.path}: camera '{name}'"
-        images = self._images.setdefault(name, [])
+        images, store = self._images.setdefault(name, []), ImageStore()
 
         def make(width: int, height: int) -> Camera:
-            orientation = turn_of_camera(camera, _turn(images))
+            orientation = turn_of_camera(camera, _turn(images, store))
             return moved(upright_camera(camera, width, height, orientation, where), self._world)
 
         def doubt() -> str:
-            return turn_doubt(poses, name, _turn(images), where)
+            return turn_doubt(poses, name, _turn(images, store), where)
 
         return ViewSpec(name, make, where, None, self._masks.get(name), True, foreign=True, doubt=doubt)
 
 
-def _turn(images: list[ImageRef]) -> Turn:
+def _turn(images: list[ImageRef], store: ImageStore) -> Turn:
     """Return the turn of a camera's images, by the first that can be read: damaged ones may be left out."""
-    store = ImageStore()
     for image in images[:-1]:
         with suppress(CaptureError):
             return store.turn(image) or Turn(1, 1)

@@ -20,9 +20,9 @@ class Picture:
     """A decoded image, upright, in the file's encoding.
 
     values: (H, W, C) float32 with C of 1 (grey), 2 (grey, alpha), 3 (RGB) or 4 (RGB, straight alpha), row 0 at the
-    bottom. An integer file's values are code / largest code, in 0…1, not linearised. bits: 8, 10, 12 or 16 of integer
-    files, 32 of floats. profile: the file's, other than sRGB, or None. top: value of the largest code, above 1 for raw
-    files whose white balance has made room above the brightest grey.
+    bottom. An integer file's values are ``top`` · code / largest code, not linearised. bits: 8, 10, 12 or 16 of integer
+    files, 32 of floats. profile: the file's, other than sRGB, or None. top: value of the largest code: 1, or more for
+    raw files whose white balance has made room above the brightest grey.
     """
 
     values: np.ndarray

@@ -132,7 +132,7 @@ def _lens(sensor: ElementTree.Element, where: str) -> Lens | str:
     items = sensor.findall("calibration")
     calibration = next((item for item in items if item.get("class") == "adjusted"), items[0] if items else None)
     kind = sensor.get("type") if calibration is None else calibration.get("type") or sensor.get("type")
-    if kind not in (None, "frame"):
+    if kind and kind != "frame":
         return f"has a lens of type {kind}; only frame cameras are read: export undistorted photographs from Metashape"
     if calibration is None:
         return "has a sensor without a calibration; align its photographs in Metashape and export again"

@@ -143,8 +143,8 @@ def upright_camera(camera: Camera, width: int, height: int, orientation: int, wh
     """
     if orientation not in _TURNS:
         raise CaptureError(f"{where}: the picture is stored mirrored; save it upright, and align that one", "size")
-    # A program that rotated the image itself gives the upright size. Half a turn and square images are ambiguous:
-    # these programs leave them as stored.
+    # A program that rotated the image itself gives the upright size. Half a turn and square images do not show it; the
+    # camera counts as that of the stored image, which these programs align, except perhaps of HEIC (turn_of_camera).
     turned_already = _fits(camera, width, height) and not _fits(camera, height, width)
     if not (turned_already and _TURNS[orientation] % 2):
         for _ in range(_TURNS[orientation]):
@@ -152,9 +152,9 @@ def upright_camera(camera: Camera, width: int, height: int, orientation: int, wh
     if not _fits(camera, width, height):
         if _fits(camera, height, width):
             raise CaptureError(
-                f"{where}: the picture is upright ({width}×{height} pixels), its camera that of the stored one"
-                f" ({camera.width}×{camera.height}), and its file has no EXIF orientation; give the photograph as the"
-                " camera stored it, or one that this irpso develop has written",
+                f"{where}: the picture is {width}×{height} pixels, its camera {camera.width}×{camera.height}, and no"
+                " EXIF orientation in its file states a quarter turn; give the photograph as the camera stored it, or"
+                " one that this irpso develop has written",
                 "size",
             )
         raise CaptureError(
@@ -180,8 +180,8 @@ def turn_of_camera(camera: Camera, turn: Turn) -> int:
 def turn_doubt(poses: PoseFile, name: str, turn: Turn, where: str) -> str:
     """Return a warning if a picture may be turned against the photograph of its camera ``name``, else "".
 
-    turn: of the picture. Raises CaptureError for HEIC files of COLMAP, which reads them as stored (Bitmap::Read
-    switches OpenImageIO's oiio:reorient off), unless other libraries than ours turn them nevertheless.
+    turn: of the picture. Raises CaptureError for HEIC files of COLMAP: its Bitmap::Read switches OpenImageIO's
+    oiio:reorient off, but a decoder below OpenImageIO may turn the pixels.
     """
     camera, aligned = poses.cameras[name], poses.orientations.get(name, turn.turned_by)
     if turn.tag != turn.turned_by:

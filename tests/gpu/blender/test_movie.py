@@ -104,6 +104,7 @@ def test_a_video_whose_end_is_missing_is_warned_of(tmp_path):
         code, out, _ = run_cli("frames", tmp_path / f"{name}.mkv", "-o", tmp_path / name, "--count", "6", "--json")
         warnings = " ".join(json.loads(out)["warnings"])
         assert code == 0 and bool(re.search(r"cut\.mkv: \d+ of 24 frames repeat the one before", warnings)) == warned
+        assert ("cut off, or its frame rate varies: look at the photographs" in warnings) == warned
 
 
 def test_a_frame_that_changes_when_it_is_read_again_is_warned_of(video, tmp_path, monkeypatch):

@@ -1,19 +1,29 @@
 """Dark frames, flat fields, white balance and merged brackets, against scenes that are known."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from irpso_addon.calibration.developing.greys import patch_response
 from irpso_addon.calibration.radiometry.frames import (
+    Flat,
     Frame,
     Patch,
     divided_by,
     mean_dark,
     mean_flat,
     patch_mean,
+    read_codes,
+    read_frame,
     white_gains,
     without_dark,
 )
 from irpso_addon.calibration.radiometry.hdr import merge
+from irpso_addon.calibration.radiometry.response import Response
+from irpso_addon.capture.images.image import ImageRef, ImageStore
+from irpso_addon.capture.images.linearise import Picture
 from irpso_addon.core.errors import InputError
 
 SHAPE = (40, 60)
@@ -184,3 +194,62 @@ def test_a_pixel_black_in_short_exposures_and_clipped_in_the_long_one_is_still_s
 def test_floats_above_1_are_not_taken_for_clipped():
     merged = merge([frame(np.full((1, 1, 3), v), bits=32, clip=False) for v in (2.0, 8.0)], [1.0, 4.0])
     np.testing.assert_allclose(merged[0, 0], [2, 2, 2, 1])
+
+
+RAW = ImageRef(Path("a.dng"))
+EVEN = Flat(np.ones((4, 4, 3), np.float32), np.ones((4, 4), bool))
+
+
+def decoded(monkeypatch, rgb, bits=16, top=2.0):
+    """Return a store whose file has these pixels (H, W, 3): by default of a raw file, whose colours reach ``top``."""
+    picture = Picture(
+        np.concatenate([rgb, np.ones((*np.shape(rgb)[:2], 1))], axis=-1).astype(np.float32), bits, top=top
+    )
+    monkeypatch.setattr(ImageStore, "picture", lambda store, image: picture)
+    return ImageStore()
+
+
+def test_colours_of_raw_files_beyond_a_response_curve_have_weight_0(monkeypatch):
+    colours = np.array([[[0.9, 0.2, 0.1], [1.0, 1.0, 1.0], [1.001, 0.2, 0.1], [1.5, 0.2, 0.1], [0.1, 0.2, 1.2]]])
+    store = decoded(monkeypatch, colours)
+    codes = np.linspace(0, 1, 256)
+    curve = Response(codes, np.repeat(codes[:, None] ** 2, 3, axis=1), np.zeros((3, 2)))
+    found = read_frame(store, RAW, curve)
+    assert found.weight.tolist() == [[1, 1, 0, 0, 0]]
+    np.testing.assert_allclose(found.rgb[0, :2], colours[0, :2] ** 2, atol=1e-5)
+    plain = read_frame(store, RAW)
+    assert plain.weight.tolist() == [[1] * 5]
+    np.testing.assert_array_equal(plain.rgb, colours.astype(np.float32))
+
+
+def test_a_grey_patch_of_a_raw_file_has_no_colour_beyond_1(monkeypatch):
+    rgb = np.full((10, 20, 3), 0.2)
+    rgb[:, 10:] = 0.8
+    rgb[:4, 10:, 0] = 1.3
+    store, patches = decoded(monkeypatch, rgb), (Patch(0, 0, 10, 10, 0.1), Patch(10, 0, 10, 10, 0.7))
+    with pytest.raises(InputError, match="a.dng: 40% of the patch 10,0,10,10 are clipped"):
+        patch_response(store, RAW, patches)
+
+
+def test_strong_colours_of_raw_brackets_come_from_all_frames_that_saturate_no_photosite(monkeypatch):
+    """The optimal mean of independent frames: weights of the inverse variance 1 / (X + k / t) (Hasinoff 2010)."""
+    amounts, read_noise = (1.0, 4.0), READ**2 / WELL
+    frames = []
+    for values in ((0.36, 0.05, 0.02), (1.52, 0.19, 0.09)):
+        frames.append(read_frame(decoded(monkeypatch, np.full((4, 4, 3), values)), RAW))
+    x, t = np.stack([f.rgb[0, 0] for f in frames]).astype(np.float64), np.array(amounts)[:, None]
+    w = 1 / (x.sum(axis=0) / t.sum() + read_noise / t)
+    best = (w * x).sum(axis=0) / (w * t).sum(axis=0)
+    for bracket in (frames, [without_dark(divided_by(f, EVEN), np.zeros((4, 4, 3)), "a") for f in frames]):
+        np.testing.assert_allclose(merge(bracket, amounts)[0, 0], (*best, 1), rtol=1e-5)
+    lower = merge(frames, amounts, saturated=0.9)
+    np.testing.assert_allclose(lower[0, 0], (0.36, 0.05, 0.02, 1), rtol=1e-5)
+    png = [replace(f, raw=False) for f in frames]
+    np.testing.assert_allclose(merge(png, amounts)[0, 0], (0.36, 0.05, 0.02, 1), rtol=1e-5)
+
+
+@pytest.mark.parametrize("suffix", ["exr", "hdr"])
+def test_floats_have_no_codes(monkeypatch, suffix):
+    store = decoded(monkeypatch, np.full((4, 4, 3), 0.5), bits=32, top=1.0)
+    with pytest.raises(InputError, match=f"a.{suffix}: holds linear floats, .*; omit --grey-card, or give the camera"):
+        read_codes(store, ImageRef(Path(f"a.{suffix}")))

@@ -88,12 +88,17 @@ def test_an_exr_states_a_turn_only_if_it_has_one(tmp_path):
     assert read_exr_header(tmp_path / "a.exr")[0].turn is None
 
 
-def test_an_upright_picture_without_a_turn_is_not_called_cropped(tmp_path):
-    write_png(tmp_path / "IMG_1.png", np.full((64, 48, 3), 9))
-    scan(tmp_path)
+@pytest.mark.parametrize("orientation", [None, 1, 3])
+@pytest.mark.parametrize(("picture", "camera"), [((48, 64), (64, 48)), ((64, 48), (48, 64))])
+def test_a_quarter_turn_that_no_tag_states_is_not_called_cropped(tmp_path, picture, camera, orientation):
+    extra = chunk(b"eXIf", exif(orientation=orientation)) if orientation else b""
+    write_png(tmp_path / "IMG_1.png", np.full((*picture[::-1], 3), 9), extra=extra)
+    scan(tmp_path, width=camera[0], height=camera[1])
     listed(tmp_path, "IMG_1.png")
-    with pytest.raises(CaptureError, match=r"upright \(48×64 pixels\), its camera that of the stored one \(64×48\)"):
+    with pytest.raises(CaptureError) as error:
         read_capture(tmp_path, decode)
+    sizes = "the picture is {}×{} pixels, its camera {}×{}".format(*picture, *camera)
+    assert f"{sizes}, and no EXIF orientation in its file states a quarter turn; give the photo" in str(error.value)
 
 
 STATED = "<orientation>{}</orientation><transform>"
@@ -154,15 +159,39 @@ def test_a_cameras_first_image_may_be_left_out_as_damaged(tmp_path):
     assert_shows_the_point(capture)
 
 
-@pytest.mark.parametrize(("tag", "mask_tag", "doubted"), [(3, None, True), (1, None, False), (3, 3, False)])
-def test_a_mask_that_may_lie_as_the_stored_photograph_is_a_warning(tmp_path, tag, mask_tag, doubted):
-    scan(tmp_path)
-    write_png(tmp_path / "IMG_1.png", spot(), extra=chunk(b"eXIf", exif(orientation=tag)))
+@pytest.mark.parametrize(
+    ("size", "tag", "mask_tag", "doubted"),
+    [
+        ((64, 48), 3, None, True),
+        ((64, 48), 1, None, False),
+        ((64, 48), 3, 3, False),
+        ((64, 48), 6, None, False),  # the mask's size tells that it is upright
+        ((64, 48), 8, None, False),
+        ((48, 48), 6, None, True),
+        ((48, 48), 8, 8, False),
+    ],
+)
+def test_a_mask_that_may_lie_as_the_stored_photograph_is_a_warning(tmp_path, size, tag, mask_tag, doubted):
+    scan(tmp_path, width=size[0], height=size[1])
+    write_png(tmp_path / "IMG_1.png", spot(*size), extra=chunk(b"eXIf", exif(orientation=tag)))
     extra = chunk(b"eXIf", exif(orientation=mask_tag)) if mask_tag else b""
-    write_png(tmp_path / "mask.png", np.full((48, 64, 1), 255), extra=extra)
+    mask = np.full((*(size[::-1] if tag < 6 or mask_tag else size), 1), 255)
+    write_png(tmp_path / "mask.png", mask, extra=extra)
     listed(tmp_path, "IMG_1.png", more='[[camera]]\nname = "IMG_1.jpg"\nmask = "mask.png"\n')
     warnings = read_capture(tmp_path, decode).warnings
     assert len(warnings) == doubted and all("mask.png: the photographs have the EXIF or" in text for text in warnings)
+
+
+def test_a_cameras_photograph_is_read_once_for_its_turn(tmp_path, monkeypatch):
+    read, real = [], image.read_header
+    monkeypatch.setattr(image, "read_header", lambda path: read.append(path.name) or real(path))
+    scan(tmp_path)
+    for name in "ab":
+        write_png(tmp_path / f"{name}.png", spot())
+    rows = "".join(f'[[observation]]\nimage = "{name}.png"\ncamera = "IMG_1"\n{LIT}' for name in "ab")
+    (tmp_path / "capture.toml").write_text(f'cameras = "colmap"\n{rows}')
+    read_capture(tmp_path, decode)
+    assert sorted(read) == ["a.png", "a.png", "b.png"]  # the second for the sizes of all
 
 
 def test_a_mask_on_its_side_is_to_be_turned(tmp_path):
