@@ -25,7 +25,7 @@ from ..pipeline.drive import CHECKPOINT
 from ..pipeline.lock import locked_folder
 from ..pipeline.ranks import leave_with_error
 from ..results.report import plain
-from ..results.write import REPORT
+from ..results.write import REPORT, check_output_folder
 from ..solver.state.checkpoint import check_replaceable
 from . import recover
 from .options.origin import foreign_path, has_same_others, is_same_origin, name_of, origin_of
@@ -98,7 +98,7 @@ def run(options: Namespace) -> dict:
     if ranks is not None:
         error = InputError("batch: runs in one process; start it without mpirun, once for each --only NAME")
         return leave_with_error(ranks, options, error)
-    output = Path(options.output)
+    output = check_output_folder(options.output)
     listed = read_list(Path(options.list), options.parse)
     jobs = _as_before(listed, output)
     if options.only is not None:

@@ -194,6 +194,13 @@ def test_an_invalid_list_is_reported_before_any_job_runs(text, message, tmp_path
     assert not (tmp_path / "out").exists()
 
 
+def test_a_file_in_place_of_the_batchs_folder_is_named(listed):
+    (listed / "out").write_text("mine", encoding="utf-8")
+    code, _, err = run_cli("batch", listed / "list.toml", "-o", listed / "out")
+    assert code == 2 and err.count("\n") == 1 and f"{listed / 'out'}: is a file, so nothing can be written" in err
+    assert (listed / "out").read_text(encoding="utf-8") == "mine"
+
+
 def test_an_unknown_job_name_is_refused(listed):
     code, _, err = run_cli("batch", listed / "list.toml", "-o", listed / "out", "--only", "third")
     assert code == 2 and "first, none, second" in err
