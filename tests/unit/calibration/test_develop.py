@@ -9,21 +9,21 @@ from irpso_addon.calibration.developing.corrections_file import read_corrections
 from irpso_addon.capture import read_capture, read_exr
 from irpso_addon.capture.read import read_spec
 from irpso_addon.commands import develop, response
-from tests.builders.captures import LIGHTS, chunk, decode_png, shade, sphere, write_png
+from tests.builders.captures import LIGHTS, chunk, decode_png, shade, write_png
 from tests.builders.command_line import dome_lights, listing, run_cli
-from tests.builders.exif import exif
-
-SIZE = 48
-TIMES = ((1, 240), (1, 60), (1, 15))
-NORMALS, BALL = sphere(SIZE)
-TINT = np.array([0.9, 0.6, 0.4])
-OFFSET = 0.01
-Y, X = np.meshgrid(np.linspace(-1, 1, SIZE), np.linspace(-1, 1, SIZE), indexing="ij")
-VIGNETTE = 1 - 0.3 * (X**2 + Y**2)
-CARD = np.s_[2:8, 3:9]  # rows from the bottom, columns: a grey card of 0.18
-SCENE = shade(NORMALS)
-SCENE[(slice(None), *CARD)] = 0.18
-BRIGHT = 4.0  # at the shortest exposure 1/240 s the file's largest value stands for this radiance
+from tests.builders.exposures import (
+    BRIGHT,
+    NORMALS,
+    OFFSET,
+    SCENE,
+    SIZE,
+    TIMES,
+    TINT,
+    VIGNETTE,
+    everything,
+    write,
+    write_photographs,
+)
 
 
 @pytest.fixture(autouse=True)
@@ -32,36 +32,9 @@ def png_without_blender(monkeypatch):
     monkeypatch.setattr(response, "decode", decode_png)
 
 
-def write(path, light, seconds, bits=16, curve=lambda v: v):
-    """Write what a camera makes of light (H, W, 3), row 0 at the bottom, at an exposure."""
-    codes = np.rint(np.clip(curve(np.clip(light, 0, 1)), 0, 1) * (2**bits - 1)).astype(int)
-    write_png(path, codes[::-1], bits, chunk(b"eXIf", exif(seconds)))
-
-
 @pytest.fixture
 def photographs(tmp_path):
-    """A folder of 5 lights × 3 exposures with vignetting, offset and tint, a dark frame for each, and a flat field."""
-    folder = tmp_path / "capture"
-    for name in ("", "dark", "flat"):
-        (folder / name).mkdir(parents=True)
-    for k, frame in enumerate(SCENE):
-        for i, (_, below) in enumerate(TIMES):
-            light = frame[..., None] * TINT * VIGNETTE[..., None] * (240 / below) / BRIGHT + OFFSET
-            write(folder / f"{3 * k + i:02d}.png", light, TIMES[i])
-    for i, time in enumerate(TIMES):
-        write(folder / "dark" / f"{i}.png", np.full((SIZE, SIZE, 3), OFFSET), time)
-    write(folder / "flat" / "a.png", 0.7 * TINT * VIGNETTE[..., None] + OFFSET, TIMES[1])
-    names = [f"{3 * k + 1:02d}.png" for k in range(len(LIGHTS))]
-    (folder / "filenames.txt").write_text("".join(f"{name}\n" for name in names))
-    np.savetxt(folder / "light_directions.txt", LIGHTS)
-    return folder
-
-
-EVERYTHING = ("--brackets", "exif", "--white", f"3,{SIZE - 8},6,6=0.18")
-
-
-def everything(folder):
-    return (*EVERYTHING, "--dark", folder / "dark", "--flat", folder / "flat")
+    return write_photographs(tmp_path / "capture")
 
 
 def test_brackets_with_all_corrections_come_out_as_the_scene(photographs, tmp_path):
@@ -212,141 +185,6 @@ def test_shifted_frames_are_moved_onto_the_reference(tmp_path):
         assert np.abs(inside[..., 0] - LIGHTS[k][2] * expected[4:-4, 4:-4]).mean() < 0.01
 
 
-BROKEN = [
-    (["--dark", "no.png"], "--dark no.png: is not there"),
-    (["--dark", "capture/bright.png"], "is no brighter than the dark frame"),
-    (["--dark", "capture/small.png"], "is 5×4 pixels instead of 48×48"),
-    (["--flat", "capture/white.png"], "100% of the flat field is clipped"),
-    (["--white", "1,2"], "write X,Y,W,H"),
-    (["--white", "-1,0,5,5"], "write X,Y,W,H"),
-    (["--white", "0,0,nan,5"], "write X,Y,W,H"),
-    (["--white", "0,0,500,5"], "not inside its 48×48 pixels"),
-    (["--white", "3,40,6,6=1.8"], "a reflectance is above 0 and at most 1"),
-    (["--white", "1,0,1"], "gains are above 0"),
-    (["--white", "40,0,4,4", "--dark", "capture/dark"], "the white patch is black in a channel"),
-    (["--grey-card", "3,40,6,6=0.18"], "one grey patch gives a scale, not a curve"),
-    (["--grey-card", "3,40,6,6"], "give each patch's reflectance"),
-    (["--response", "no.toml"], "no.toml: cannot be read"),
-    (["--response", "a.toml", "--grey-card", "3,40,6,6=0.18"], "give one of them"),
-    (["--brackets", "names"], "its name has no exposure"),
-    (["--brackets", "exif", "--exposure", "exif"], "give one of them"),
-    (["--brackets", "exif", "--exposures", "1,2"], "add --brackets names"),
-    (["--brackets", "names", "--exposures", "1,0"], "give exposures above 0"),
-    (["--reference", "01.png"], "add --register"),
-    (["--register", "--reference", "nobody"], "there is no such image"),
-    (["--saturated", "2"], "above 0 and at most 1"),
-]
-
-
-@pytest.mark.parametrize(("options", "words"), BROKEN, ids=[" ".join(options) for options, _ in BROKEN])
-def test_bad_input_is_one_line_and_leaves_nothing(photographs, tmp_path, monkeypatch, options, words):
-    monkeypatch.chdir(tmp_path)
-    write(photographs / "bright.png", np.full((SIZE, SIZE, 3), 0.9), None)
-    write(photographs / "white.png", np.ones((SIZE, SIZE, 3)), None)
-    write(photographs / "small.png", np.zeros((4, 5, 3)), None)
-    before = listing(tmp_path)
-    code, out, err = run_cli("develop", "capture", "-o", "out", "--quiet", *_joined(options))
-    assert (code, out) == (2, "") and words in err and err.count("\n") == 1
-    assert listing(tmp_path) == before
-
-
-@pytest.fixture
-def two_sizes(tmp_path):
-    """A capture of two cameras, of 12 × 10 and 10 × 12 pixels."""
-    folder, rng = tmp_path / "sizes", np.random.default_rng(0)
-    folder.mkdir()
-    rows = ""
-    for k, name in enumerate("aaabbb"):
-        write(folder / f"{k}.png", rng.uniform(0.2, 0.8, (10, 12, 3) if name == "a" else (12, 10, 3)), None)
-        rows += f'[[observation]]\nimage = "{k}.png"\ncamera = "{name}"\nlight_direction = [0.{k}, 0, 1]\n'
-    cameras = "".join(f'[[camera]]\nname = "{name}"\nfov_degrees = 40\n' for name in "ab")
-    (folder / "capture.toml").write_text(f"format = 1\n{cameras}{rows}")
-    write(folder / "even.png", np.full((10, 12, 3), 0.1), None)
-    return folder
-
-
-@pytest.mark.parametrize("option", ["--dark", "--flat"])
-def test_a_dark_frame_of_one_camera_is_refused_for_cameras_of_other_sizes(two_sizes, tmp_path, option):
-    run = "develop", two_sizes / "capture.toml", "-o", tmp_path / "out"
-    code, out, err = run_cli(*run, option, two_sizes / "even.png", "--quiet")
-    assert (code, out) == (2, "") and err.count("\n") == 1
-    assert option in err and "0.png is 12×10" in err and "3.png is 10×12" in err
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_chart_that_another_camera_took_has_that_cameras_size(two_sizes, tmp_path):
-    run = "develop", two_sizes / "capture.toml", "-o", tmp_path / "out"
-    code, _, err = run_cli(*run, "--white", "2,2,4,4=0.18", "--chart", two_sizes / "4.png", "--quiet")
-    assert (code, err) == (0, "")
-
-
-def _joined(options):
-    """Return options with a value that starts with a minus written as one word, as a person must."""
-    joined = []
-    for option in options:
-        if joined and option.startswith("-") and option[1:2].isdigit():
-            joined[-1] += f"={option}"
-        else:
-            joined.append(option)
-    return joined
-
-
-def test_an_existing_output_stays_unchanged(photographs, tmp_path):
-    before = listing(tmp_path)
-    code, _, err = run_cli("develop", photographs, "-o", photographs)
-    assert code == 2 and "not empty" in err and listing(tmp_path) == before
-
-
-def test_a_bracket_that_clips_everywhere_is_named(photographs, tmp_path):
-    for i in range(3):
-        write(photographs / f"{6 + i:02d}.png", np.ones((SIZE, SIZE, 3)), TIMES[i])
-    code, _, err = run_cli("develop", photographs, "-o", tmp_path / "out", "--brackets", "exif", "--quiet")
-    assert code == 2 and "06.png: all pixels are clipped" in err and not (tmp_path / "out").exists()
-
-
-def test_photographs_with_the_same_name_are_refused(photographs, tmp_path):
-    for name in ("filenames.txt", "light_directions.txt"):
-        (photographs / name).unlink()
-    (photographs / "00.tif").write_bytes((photographs / "00.png").read_bytes())
-    code, _, err = run_cli("develop", photographs, "-o", tmp_path / "out", "--quiet")
-    assert code == 2 and "00.tif: another photograph has this name" in err
-
-
-@pytest.mark.parametrize(
-    ("files", "words"),
-    [
-        ([(0.5, (1, 60)), (0.5, (1, 60))], "no two photographs make a bracket"),
-        ([(0.5, (1, 60)), (0.5, None)], "has no exposure time"),
-        ([(0.0, (1, 60)), (0.0, (1, 15))], "pixels are neither black nor clipped"),
-        ([(1.0, (1, 60)), (1.0, (1, 15))], "pixels are neither black nor clipped"),
-        ([], "no two photographs"),
-    ],
-)
-def test_brackets_without_a_curve_in_them_are_refused(tmp_path, files, words):
-    (tmp_path / "brackets").mkdir()
-    for n, (value, seconds) in enumerate(files):
-        write(tmp_path / "brackets" / f"{n}.png", np.full((20, 20, 3), value), seconds)
-    code, _, err = run_cli("response", tmp_path / "brackets", "-o", tmp_path / "a.toml", "--quiet")
-    assert code == 2 and words in err and not (tmp_path / "a.toml").exists()
-
-
-@pytest.mark.parametrize(
-    ("name", "options", "words"),
-    [
-        ("a.csv", (), "the curve is a .toml file; name it a.toml"),
-        ("there.toml", (), "is there already"),
-        ("a.toml", ("--exposures", "1/60,1/15"), "add --brackets names"),
-        ("a.toml", ("--grey-card", "auto", "--brackets", "exif"), "give one of them"),
-    ],
-)
-def test_a_curve_replaces_no_file_and_its_options_agree(tmp_path, name, options, words):
-    (tmp_path / "brackets").mkdir()
-    (tmp_path / "there.toml").write_text("mine")
-    code, _, err = run_cli("response", tmp_path / "brackets", "-o", tmp_path / name, *options)
-    assert code == 2 and words in err
-    assert (tmp_path / "there.toml").read_text() == "mine" and not (tmp_path / "a.toml").exists()
-
-
 def test_wide_steps_give_a_warning(tmp_path):
     (tmp_path / "brackets").mkdir()
     wedge = np.exp(np.linspace(np.log(0.01), np.log(20), 400)).reshape(20, 20, 1) * np.ones(3)
@@ -401,17 +239,6 @@ def test_dark_frames_of_numbered_exposures_go_with_their_own(tmp_path, first):
     assert code == 2 and err.count("\n") == 1 and "dark.png: its name does not tell which of the --exposures" in err
     # One alone, without a number, is that of all exposures.
     assert run_cli("develop", folder, "-o", tmp_path / "one", *options, folder / "dark" / "dark.png")[0] == 0
-
-
-@pytest.mark.parametrize("name", ["00.png", "dark/1.png", "flat/a.png"])
-def test_a_file_that_the_camera_turned_by_chance_is_refused(photographs, tmp_path, name):
-    for listed in ("filenames.txt", "light_directions.txt"):
-        (photographs / listed).unlink()
-    codes = np.rint(decode_png(photographs / name).values[::-1] * 65535).astype(int)
-    write_png(photographs / name, codes, 16, chunk(b"eXIf", exif(TIMES[0], orientation=3)))
-    frames = "--dark", photographs / "dark", "--flat", photographs / "flat", "--quiet"
-    code, _, err = run_cli("develop", photographs, "-o", tmp_path / "out", *frames)
-    assert code == 2 and err.count("\n") == 1 and f"{name}: its EXIF orientation is 3 where" in err
 
 
 def test_the_current_folder_is_an_output(photographs, tmp_path, monkeypatch):
