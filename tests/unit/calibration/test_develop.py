@@ -8,33 +8,11 @@ import pytest
 from irpso_addon.calibration.developing.corrections_file import read_corrections
 from irpso_addon.capture import read_capture, read_exr
 from irpso_addon.capture.read import read_spec
-from irpso_addon.commands import develop, response
 from tests.builders.captures import LIGHTS, chunk, decode_png, shade, write_png
 from tests.builders.command_line import dome_lights, listing, run_cli
-from tests.builders.exposures import (
-    BRIGHT,
-    NORMALS,
-    OFFSET,
-    SCENE,
-    SIZE,
-    TIMES,
-    TINT,
-    VIGNETTE,
-    everything,
-    write,
-    write_photographs,
-)
+from tests.builders.exposures import BRIGHT, NORMALS, OFFSET, SCENE, SIZE, TIMES, TINT, VIGNETTE, everything, write
 
-
-@pytest.fixture(autouse=True)
-def png_without_blender(monkeypatch):
-    monkeypatch.setattr(develop, "decode", decode_png)
-    monkeypatch.setattr(response, "decode", decode_png)
-
-
-@pytest.fixture
-def photographs(tmp_path):
-    return write_photographs(tmp_path / "capture")
+pytestmark = pytest.mark.usefixtures("png_without_blender")
 
 
 def test_brackets_with_all_corrections_come_out_as_the_scene(photographs, tmp_path):

@@ -3,24 +3,12 @@
 import numpy as np
 import pytest
 
-from irpso_addon.commands import develop, response
 from tests.builders.captures import chunk, decode_png, write_png
 from tests.builders.command_line import listing, run_cli
 from tests.builders.exif import exif
-from tests.builders.exposures import SIZE, TIMES, write, write_photographs
+from tests.builders.exposures import SIZE, TIMES, write
 
-
-@pytest.fixture(autouse=True)
-def png_without_blender(monkeypatch):
-    monkeypatch.setattr(develop, "decode", decode_png)
-    monkeypatch.setattr(response, "decode", decode_png)
-
-
-@pytest.fixture
-def photographs(tmp_path):
-    return write_photographs(tmp_path / "capture")
-
-
+pytestmark = pytest.mark.usefixtures("png_without_blender")
 BROKEN = [
     (["--dark", "no.png"], "--dark no.png: is not there"),
     (["--dark", "capture/bright.png"], "is no brighter than the dark frame"),
