@@ -179,7 +179,7 @@ def test_modes_areas_and_windows_may_change_in_mid_run(ready):
     ready.run("area = largest('VIEW_3D')\narea.type = 'IMAGE_EDITOR'", area="")
     ready.run("redrawn()", area="")
     ready.run("area.type = 'VIEW_3D'\narea.spaces.active.shading.type = 'MATERIAL'", area="")
-    ready.run("redrawn()", area="")
+    ready.run("redrawn()", area="", timeout=300)  # the first time Blender compiles its own shaders
     ready.run("area.spaces.active.shading.type = 'SOLID'\nbpy.ops.wm.window_new()")
     ready.run("redrawn()", area="")
     ready.run(IN_NEW_WINDOW.format("bpy.ops.wm.window_close()"), area="")
