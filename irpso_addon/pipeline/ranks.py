@@ -221,9 +221,9 @@ def _partition(ranks: Ranks, job: Job, division: Split, surface: Surface) -> Par
     of_all = ranks.broadcast(lights_only)
     # No camera that a rank sees texels with is blind to the whole mesh, and no light that it sees hidden from it.
     own = None if window is None else (set(window.unseen), set(window.shaded))
-    unseen, shaded = zip(*(sets for sets in ranks.allgather(own) if sets is not None), strict=True)
-    found = (tuple(sorted(set.intersection(*sets))) for sets in (unseen, shaded))
-    whole = replace(of_all, bake=bake, seams=seams, **dict(zip(("unseen", "shaded"), found, strict=True)))
+    parts = [sets for sets in ranks.allgather(own) if sets is not None]
+    unseen, shaded = (tuple(sorted(set.intersection(*sets))) for sets in zip(*parts, strict=True))
+    whole = replace(of_all, bake=bake, seams=seams, unseen=unseen, shaded=shaded)
     return Partition(whole, division.boxes, division.halo, window)
 
 

@@ -184,7 +184,8 @@ class _Elements:
 
         −1 on backs, on unsolved triangles, and where no element is near that faces the same way.
         """
-        weights = corner_weights(mesh.positions[triangle].astype(np.float64), place)
+        corners = mesh.positions[triangle].astype(np.float64)
+        weights = corner_weights(corners, place)
         uv = np.einsum("nk,nki->ni", weights, mesh.uvs[triangle])
         normal = np.einsum("nk,nki->ni", weights, mesh.normals[triangle])
         height, width = self._bake.coverage.shape
@@ -196,7 +197,6 @@ class _Elements:
                 facing = np.einsum("ni,ni->n", self._normals[element], normal) > 0
                 better = (element >= 0) & facing & (squared < least)
                 best[better], least[better] = element[better], squared[better]
-        corners = mesh.positions[triangle].astype(np.float64)
         face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         face *= np.sign(np.einsum("ni,nki->n", face, mesh.normals[triangle]))[:, None]
         front = np.einsum("ni,ni->n", face, direction) < 0
