@@ -29,7 +29,7 @@ from ..solver.engine.engine import RecoveryEngine
 from ..solver.interreflection.rounds import InterreflectionRounds
 from ..solver.lights.refine import Lights
 from ..solver.planning.cost import recovery_cost
-from ..solver.planning.make_plan import covered_texels, device_limits, rays_triangles, uv_borders
+from ..solver.planning.make_plan import covered_texels, device_limits, rays_surface, uv_borders
 from ..solver.planning.memory import machine_memory
 from ..solver.planning.plan import within_limits
 from .job import Job
@@ -178,10 +178,8 @@ def _surface(job: Job) -> Surface:
 def _split(ranks: Ranks, job: Job, surface: Surface | None) -> Split:
     counts = len(job.capture.observations), len(job.held_out)
     coverage = surface[0].coverage if surface else covered_texels(job.capture, job.mesh, job.size)
-    triangles = rays_triangles(job.mesh, coverage, job.schedule)
-    cost = recovery_cost(
-        job.model, job.schedule, job.fixed, *counts, job.entry != "fragment", triangles, job.mesh is not None
-    )
+    interreflecting = rays_surface(job.mesh, coverage, job.schedule)
+    cost = recovery_cost(job.model, job.schedule, job.fixed, *counts, job.entry != "fragment", **interreflecting)
     height, width = coverage.shape
     borders = None if job.mesh is None else uv_borders(job.mesh, (height, width))
     limits = device_limits(context.free_device_memory())

@@ -60,9 +60,9 @@ def light_transport_steps(
 ) -> Generator[float, None, LightTransport]:
     """Yield the fraction of the work that is done; return the LightTransport.
 
-    lights: (K, 4) as in Domain. resolution: cells along the longer side of the domain, at most. rays: of an element.
+    lights: (K, 4) as in Domain. resolution: cells along the longer side of a UDIM tile, at most. rays: of an element.
     """
-    elements = _Elements(bake, resolution)
+    elements = _Elements(bake, resolution, len(mesh.tiles))
     yield from map_steps(elements.choose_steps(), lambda step: 0.0)
     points, face = _ray_origins(mesh, bake, elements.texels)
     normals = bake.normal.reshape(-1, 3)[elements.texels].astype(np.float64)
@@ -127,23 +127,24 @@ class _Elements:
     """Elements of a surface: in each cell of a grid the covered texel nearest to its centre, and further ones.
 
     A further element is, of the texels that are unlike all elements of their cell, the nearest to the centre.
+    tiles: number of UDIM tiles side by side, each with ``resolution`` cells along its longer side.
     """
 
-    def __init__(self, bake: SurfaceBake, resolution: int):
+    def __init__(self, bake: SurfaceBake, resolution: int, tiles: int):
         self._bake = bake
         height, width = bake.coverage.shape
-        longer = max(height, width)
-        count = min(resolution, longer)
+        self._longer = longer = max(height, width // tiles)
+        self._count = count = min(resolution, longer)
         self._stride = longer / count  # texels along a cell, not always whole
         self._cells = -(-height * count // longer), -(-width * count // longer)
-        self._count = count
+        self._most = max(tiles * count**2, MAX_ELEMENTS)
         self.texels = np.zeros(0, np.int64)
         self._of_cells: list[np.ndarray] = []  # the first element of each cell, the second, …; −1 for none
 
     def choose_steps(self) -> Generator[None, None, None]:
         """Yield often; set the elements."""
-        count, stride, (height, width) = self._count, self._stride, self._bake.coverage.shape
-        longer, most, widths = max(height, width), max(count**2, MAX_ELEMENTS), [1e-12]
+        count, stride, longer, most = self._count, self._stride, self._longer, self._most
+        width, widths = self._bake.coverage.shape[1], [1e-12]
         for axis in (0, 1):
             yield
             widths.append(_texel_width(self._bake, axis))

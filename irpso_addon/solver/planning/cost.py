@@ -156,10 +156,11 @@ def recovery_cost(
     compute: bool = False,
     triangles: int = 0,
     known_shape: bool = False,
+    tiles: int = 1,
 ) -> Cost:
     """Return the cost of a recovery of ``observations``, ``held_out`` of them not fitted. Raises InputError.
 
-    triangles: of the surface of light transport. known_shape: whether that is a mesh.
+    triangles: of the surface of light transport. known_shape: whether that is a mesh. tiles: its UDIM tiles.
     """
     fitted = observations - held_out
     levels = [(level, resolve(level, model, set(fixed), fitted)) for level in level_schedules(schedule)]
@@ -175,7 +176,8 @@ def recovery_cost(
     numbers = sum(p.components for p in varied(free, unsearched_names(schedule, model, fixed), schedule.fitness))
     light = schedule.interreflection
     rounds = light.estimates + (light.matte_rounds > 0 and light.rounds == 0)  # a full round may follow matte ones
-    transport = (rounds, max(light.resolution**2, MAX_ELEMENTS), light.rays, triangles) if rounds else (0, 0, 0, 0)
+    elements = max(tiles * light.resolution**2, MAX_ELEMENTS)
+    transport = (rounds, elements, light.rays, triangles) if rounds else (0, 0, 0, 0)
     counts = fitted, observations, model.components
     recoveries = 1 + light.rounds
     if schedule.levels > 1:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Collection
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -58,10 +59,8 @@ def make_plan(
     """
     free = context.free_device_memory()
     limits = device_limits(free)
-    triangles = rays_triangles(mesh, coverage, schedule)
-    cost = recovery_cost(
-        model, schedule, fixed, observations, held_out, entry != "fragment", triangles, mesh is not None
-    )
+    surface = rays_surface(mesh, coverage, schedule)
+    cost = recovery_cost(model, schedule, fixed, observations, held_out, entry != "fragment", **surface)
     held = stack_bytes(cost, coverage.size) if stack_on == "memory" else 0
     allowed = machine_memory(memory, str(context.describe()["renderer"]), free, held)
     borders = None if mesh is None else uv_borders(mesh, coverage.shape)
@@ -78,11 +77,11 @@ def make_plan(
     return plan
 
 
-def rays_triangles(mesh: MeshData | None, coverage: np.ndarray, schedule: Schedule) -> int:
-    """Return the triangles at which rays of interreflection are cast. coverage: (H, W) of a card if mesh is None."""
+def rays_surface(mesh: MeshData | None, coverage: np.ndarray, schedule: Schedule) -> dict[str, Any]:
+    """Return what ``recovery_cost`` needs of interreflection's surface. coverage: (H, W) of a card if mesh is None."""
     if mesh is not None:
-        return len(mesh.opaque)
-    return relief_triangles(coverage.shape, schedule.interreflection.resolution)
+        return {"triangles": len(mesh.opaque), "known_shape": True, "tiles": len(mesh.tiles)}
+    return {"triangles": relief_triangles(coverage.shape, schedule.interreflection.resolution)}
 
 
 def device_limits(free: int | None) -> Limits:

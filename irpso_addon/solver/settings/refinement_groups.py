@@ -212,7 +212,7 @@ class Interreflection:
         " 0 is off", 0, maximum=MAX_ROUNDS, soft_max=4,
     )  # fmt: skip
     resolution: int = setting(
-        "Resolution", "Largest number of surface elements along the longer side of the maps; light is exchanged"
+        "Resolution", "Largest number of surface elements along the longer side of a UDIM tile; light is exchanged"
         " between them. More shows smaller hollows and takes longer", 64, minimum=8,
         maximum=1024, soft_max=256,
     )  # fmt: skip

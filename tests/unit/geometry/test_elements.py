@@ -59,6 +59,15 @@ def test_an_island_beside_others_has_an_element_of_its_own():
     assert len(np.unique(cut.texels)) == len(cut.texels)
 
 
+def test_each_udim_tile_has_as_many_elements_as_one_square():
+    mesh = cavity_mesh()
+    finer, _ = transport_of(mesh, resolution=32)
+    tiles, _ = transport_of(replace(mesh, tiles=(1001, 1002)), resolution=16)
+    np.testing.assert_array_equal(tiles.texels, finer.texels)
+    np.testing.assert_array_equal(tiles.hits, finer.hits)
+    np.testing.assert_array_equal(tiles.share, finer.share)
+
+
 def test_where_there_are_too_few_elements_texels_get_no_light(monkeypatch):
     monkeypatch.setattr(module, "MAX_ELEMENTS", 1)
     transport, bake = transport_of(scattered(cavity_mesh()), resolution=3)

@@ -230,6 +230,16 @@ def test_no_more_rays_are_counted_than_texels_have():
         plan_recovery(np.ones((256, 256), bool), cost, PLENTY, Limits(texture=(1 << 30) - 1))
 
 
+def test_the_elements_of_every_udim_tile_are_counted():
+    lit = SWARM.replaced(interreflection_rounds=1, interreflection_resolution=256, interreflection_rays=16)
+    covered = np.ones((512, 1024), bool)
+    one, two = (
+        plan_recovery(covered, recovery_cost(load_model("lambert"), lit, (), 10, tiles=tiles), PLENTY)
+        for tiles in (1, 2)
+    )
+    assert two.device - one.device == 256**2 * (16 + 1) * 16
+
+
 def test_levels_hold_the_samples_of_every_coarse_map():
     plans = {
         n: plan_recovery(
