@@ -15,6 +15,7 @@ from ..capture.errors import CaptureError
 from ..capture.formats.table import CARD_DISTANCE
 from ..capture.images.image import ImageRef, ImageStore
 from ..capture.images.linearise import Decoder
+from ..capture.rectify import rectified_camera
 from ..capture.spec import CaptureSpec, ViewSpec, build_capture
 from ..core.errors import InputError
 from ..core.steps import map_steps
@@ -115,8 +116,19 @@ class Calibrated:
 
     @property
     def card_distance(self) -> float:
-        """Distance from the camera to the card below the balls, in the unit of near lights' positions."""
-        return float(np.mean([view.ball.radius - view.ball.centre[2] for view in self.result.views]))
+        """Distance along the camera's axis to the table below the balls, in the unit of near lights' positions.
+
+        The table is parallel to the card, which faces the camera or has the capture's ``corners``.
+        """
+        normal, balls = self._table_normal(), [view.ball for view in self.result.views]
+        return float(np.mean([(ball.radius - np.dot(ball.centre, normal)) / normal[2] for ball in balls]))
+
+    def _table_normal(self) -> np.ndarray:
+        """Return (3,) in the camera's axes."""
+        camera, corners = self.result.views[0].ball.camera, self.spec.framing.corners
+        if corners is None or isinstance(corners, str) or not camera.perspective:
+            return np.array([0.0, 0.0, 1.0])
+        return camera.matrix[:3, :3].T @ rectified_camera(camera, corners, 1.0).backward
 
     @property
     def shows_distance(self) -> bool:

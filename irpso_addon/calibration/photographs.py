@@ -42,7 +42,8 @@ _LIGHT_KEYS = (
     "light_direction", "light_position", "light_intensity", "light_axis", "light_cone_degrees", "light_cosine",
 )  # fmt: skip
 _EITHER = ({"crop", "corners"}, {"card_width", table.CARD_DISTANCE})  # mutually exclusive keys
-_BESIDE_AN_ANGLE = {"principal_point", "distortion"}  # keys that an angle alone does not replace
+# Keys of a camera that this key alone does not replace.
+_KEPT_BESIDE = {"fov_degrees": {"principal_point", "distortion"}, "world_width": {"principal_point"}}
 _PATH_KEYS = ("image", "mask", "cameras")
 
 
@@ -122,8 +123,8 @@ def camera_keys(path: Path) -> dict[str, Any]:
 def with_camera(spec: CaptureSpec, keys: Mapping[str, Any], where: str) -> CaptureSpec:
     """Return a spec whose cameras have the intrinsics of ``keys`` and keep their poses. where: names the option.
 
-    An angle alone leaves principal point and distortion as they are. Raises CaptureError for a camera of another
-    program's file.
+    An angle alone leaves principal point and distortion as they are, a width alone the principal point. Raises
+    CaptureError for a camera of another program's file.
     """
     views = []
     for view in spec.views:
@@ -142,13 +143,13 @@ def with_camera(spec: CaptureSpec, keys: Mapping[str, Any], where: str) -> Captu
 
 def _replaced_keys(keys: Mapping[str, Any]) -> set[str]:
     """Return the keys of a camera that ``keys`` replace."""
-    return CAMERA_KEYS - _BESIDE_AN_ANGLE if keys.keys() == {"fov_degrees"} else CAMERA_KEYS
+    return CAMERA_KEYS - _KEPT_BESIDE.get(next(iter(keys)), set()) if len(keys) == 1 else CAMERA_KEYS
 
 
 def _with_lens(former: CameraMaker, other: CameraMaker, width: int, height: int) -> Camera:
     """Return the camera of ``former`` with the focal length of ``other``."""
-    kept = former(width, height)
-    return replace(other(width, height), centre=kept.centre, distortion=kept.distortion)
+    kept, camera = former(width, height), other(width, height)
+    return replace(camera, centre=kept.centre, distortion=kept.distortion if camera.perspective else ())
 
 
 def lens_of_files(spec: CaptureSpec, decoder: Decoder | None = None) -> dict[str, Any]:

@@ -174,9 +174,10 @@ def _remove(paths: Iterable[Path]) -> None:
 
 
 def _lists(calibrated: Calibrated) -> dict[str, list[str]]:
-    """Return file name → lines of the DiLiGenT lists: names, directions (or positions), intensities."""
+    """Return file name → lines of the DiLiGenT lists: the photographs' files, directions or positions, intensities."""
     result = calibrated.result
-    located = [(name, light.light) for name, light in zip(calibrated.names, result.lights, strict=True) if light.light]
+    files = [calibrated.spec.observations[index].image.path.name for index in calibrated.indices]
+    located = [(name, light.light) for name, light in zip(files, result.lights, strict=True) if light.light]
     vectors = [" ".join(f"{v:.8f}" for v in light.vector) for _, light in located]
     lists = {FILENAMES: [name for name, _ in located]}
     lists[_POSITIONS if result.near else DIRECTIONS] = vectors

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from irpso_addon.calibration import write
 from irpso_addon.calibration.ball_calibration import ball_of_text, calibrate_steps, report_of, written_table
 from irpso_addon.calibration.balls.lights import Request
 from irpso_addon.calibration.photographs import read_photographs, with_camera
@@ -77,6 +78,14 @@ def test_a_distance_to_the_lamps_without_a_unit_is_refused(balls):
         calibrated(balls, read_photographs(balls[0]), distance=160.0)
 
 
+def test_lists_for_other_programs_name_files(balls):
+    spec = read_photographs(balls[0])
+    files = [observation.image.path.name for observation in spec.observations]
+    renamed = [replace(observation, name=f"lamp {n}") for n, observation in enumerate(spec.observations)]
+    lists = write._lists(calibrated(balls, replace(spec, observations=tuple(renamed))))
+    assert lists["filenames.txt"] == files
+
+
 def test_positions_in_ball_radii_are_refused_for_a_capture_with_lengths(balls):
     spec = with_camera(read_photographs(balls[0]), {"fov_degrees": FOV}, "--fov")
     with pytest.raises(InputError, match="has card_distance; .* give --radius in it, or --lights distant"):
@@ -88,6 +97,48 @@ def test_the_width_in_the_lamps_unit_is_written(balls, tmp_path):
     table = tmp_path / "capture.toml"
     table.write_text(written_table(calibrated(balls, read_photographs(balls[0])), tmp_path, {}))
     assert "world_width = 2" in table.read_text() and read_spec(table).views[0].lens
+
+
+def test_the_principal_point_stays_beside_the_width_in_the_lamps_unit(balls, tmp_path):
+    folder, table = tmp_path / "photographs", tmp_path / "capture.toml"
+    shutil.copytree(balls[0], folder)
+    width, height = ImageStore().size(read_photographs(folder).observations[0].image)
+    (folder / "camera.toml").write_text(f"principal_point = [{width / 2 + 9}, {height / 2 - 4}]\n")
+    found = calibrated(balls, read_photographs(folder))
+    table.write_text(written_table(found, tmp_path, {}))
+    again = read_spec(table).views[0].make(width, height)
+    used = found.result.views[0].ball.camera
+    assert again.centre == used.centre == (width / 2 + 9, height / 2 - 4) and again.scale == used.scale
+
+
+def test_a_width_alone_leaves_the_principal_point_but_no_distortion(balls):
+    spec = with_camera(read_photographs(balls[0]), {"fov_degrees": FOV, "principal_point": [3.0, 5.0]}, "--camera")
+    spec = with_camera(spec, {"world_width": 30.0}, "--camera")
+    camera = spec.views[0].make(30, 20)
+    assert (camera.perspective, camera.scale, camera.centre, camera.distortion) == (False, (1.0, 1.0), (3.0, 5.0), ())
+
+
+def test_the_distance_of_a_tilted_table_counts_on_the_lenss_axis(balls):
+    """Closed form: the plane through the balls' lowest points along the normal, which the corners give."""
+    tilt = np.radians(30)
+    across, normal = np.array([1.0, 0, 0]), np.array([0, np.sin(tilt), np.cos(tilt)])
+    spec = with_camera(read_photographs(balls[0]), {"fov_degrees": FOV}, "--fov")
+    found = calibrated(balls, spec, radius=10.0)
+    camera = found.result.views[0].ball.camera
+    upward, place = np.cross(normal, across), np.array([0.0, 0.0, -400.0])
+    corners = []
+    for x, y in ((-1, 1), (1, 1), (1, -1), (-1, -1)):
+        point = place + 30 * (x * across + y * upward)
+        flat = point[:2] / -point[2] * camera.scale + camera.centre
+        corners.append((flat[0], camera.height - flat[1]))
+    views = [
+        replace(view, ball=replace(view.ball, centre=place + side * across + 10 * (normal + upward)))
+        for view, side in zip(found.result.views, (-40, 40), strict=True)
+    ]
+    tilted = replace(
+        found, result=replace(found.result, views=tuple(views)), spec=replace(spec, framing=Framing(corners=corners))
+    )
+    assert tilted.card_distance == pytest.approx(400, rel=1e-6)
 
 
 def test_an_angle_leaves_the_principal_point_and_the_distortion(balls, tmp_path):
