@@ -174,7 +174,7 @@ def _spec(rig: Rig, photographs: Path, out: Path, used: Sequence[tuple[ExposureG
 def _write_table(spec: CaptureSpec, out: Path, space: str, report: dict, decoder: Decoder | None) -> None:
     """Write a capture.toml that refers to the photographs, and a report, into a new folder."""
     capture = build_capture(spec, decoder)
-    pictures = [{"image": relative_path(observation.image.path, out)} for observation in spec.observations]
+    pictures = [_picture(observation.image, out, space) for observation in spec.observations]
     masks = {n: {"mask": relative_path(view.mask.path, out)} for n, view in enumerate(spec.views) if view.mask}
     text = table_text(capture, pictures, masks, {} if space == "auto" else {_SPACE: space})
     with new_folder(out) as folder:
@@ -182,10 +182,19 @@ def _write_table(spec: CaptureSpec, out: Path, space: str, report: dict, decoder
         (folder / "report.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
 
 
+def _picture(image: ImageRef, out: Path, space: str) -> dict[str, str | int]:
+    """Return an image's keys of a capture.toml in ``out`` with the colour space ``space``."""
+    own = image.colour_space if image.colour_space != space else None
+    keys = {"image": relative_path(image.path, out), "part": image.part, "layer": image.layer, _SPACE: own}
+    return {key: value for key, value in keys.items() if value is not None}
+
+
 def _file(group: ExposureGroup) -> str:
-    return group.images[0].path.name
+    image = group.images[0]
+    return image.path.name if image.part is None else f"{image.path.name} part {image.part}"
 
 
 def _name(group: ExposureGroup) -> str:
-    """Return the name of a photograph without its suffix, or of a bracket without exposures."""
-    return group.images[0].path.stem if len(group.images) == 1 else group.name
+    """Return the name of a photograph without its suffix, or of a bracket without exposures, or of a part."""
+    image = group.images[0]
+    return image.path.stem if len(group.images) == 1 and image.part is None else group.name

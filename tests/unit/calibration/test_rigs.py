@@ -11,6 +11,8 @@ from irpso_addon.calibration.developing import corrections_file
 from irpso_addon.calibration.rigs.match import matched
 from irpso_addon.calibration.rigs.rig import read_rig
 from irpso_addon.capture import read_capture
+from irpso_addon.capture.images.exr import write_exr
+from irpso_addon.capture.read import read_spec
 from irpso_addon.commands import develop, rig
 from irpso_addon.core.errors import InputError
 from tests.builders.captures import LIGHTS, chunk, decode_png, shade, sphere, write_png
@@ -118,6 +120,38 @@ def test_without_corrections_the_capture_points_at_the_photographs(plain_rig, la
     found = read_capture(tmp_path / "out", decode_png)
     np.testing.assert_allclose([o.light.vector for o in found.observations], LIGHTS, atol=1e-6)
     np.testing.assert_array_equal(found.masks[0], X > 0)
+
+
+def test_photographs_keep_their_own_colour_space(plain_rig, later, tmp_path):
+    rows = "".join(
+        f'[[observation]]\nimage = "lamp_{k + 1}.png"\nlight_direction = [0, 0, 1]\n'
+        + ('colour_space = "linear"\n' if k == 1 else "")
+        for k in range(5)
+    )
+    (later / "capture.toml").write_text(f'format = 1\ncolour_space = "srgb"\n[[camera]]\n{rows}')
+    assert run_cli("rig", "apply", plain_rig, later, "-o", tmp_path / "out", "--quiet")[0] == 0
+    spaces = [observation.image.colour_space for observation in read_spec(tmp_path / "out").observations]
+    assert spaces == ["srgb", "linear", "srgb", "srgb", "srgb"]
+
+
+def test_parts_and_layers_of_an_exr_stay_apart(capture, tmp_path):
+    parts = {
+        f"lamp_{k + 1}": {"R": dark, "G": dark, "B": dark} | {f"diffuse.{c}": frame.astype(np.float32) for c in "RGB"}
+        for k, frame in enumerate(OTHER)
+        for dark in [np.zeros((SIZE, SIZE), np.float32)]
+    }
+    folder = tmp_path / "parts"
+    folder.mkdir()
+    write_exr(folder / "all.exr", parts)
+    rows = [f'[[observation]]\nname = "lamp_{k + 1}"\npart = "lamp_{k + 1}"\nlayer = "diffuse"\n' for k in range(5)]
+    lights = [f"light_direction = {light.tolist()}\n" for light in LIGHTS]
+    table = "".join(row + light for row, light in zip(rows, lights, strict=True))
+    (folder / "capture.toml").write_text(f'format = 1\nimage = "all.exr"\n[[camera]]\n{table}')
+    assert run_cli("rig", "save", folder, "-o", tmp_path / "rig", "--quiet")[0] == 0
+    code, out, _ = run_cli("rig", "apply", tmp_path / "rig", folder, "-o", tmp_path / "out", "--json")
+    assert code == 0 and len(json.loads(out)["lamps"]) == 5
+    for observation, frame in zip(read_capture(tmp_path / "out").observations, OTHER, strict=True):
+        np.testing.assert_allclose(observation.read()[..., 1], frame, rtol=1e-6)
 
 
 def test_the_header_of_each_photograph_is_read_once(plain_rig, later, tmp_path, monkeypatch):
