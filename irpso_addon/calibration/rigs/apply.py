@@ -12,7 +12,6 @@ import numpy as np
 from ...capture.formats.diligent import mask_of
 from ...capture.formats.table import TABLE
 from ...capture.framing import Framing
-from ...capture.images.exr_header import is_exr
 from ...capture.images.image import ImageRef, ImageStore
 from ...capture.images.linearise import Decoder
 from ...capture.spec import CaptureSpec, build_capture
@@ -27,7 +26,7 @@ from ..photographs import relative_path
 from ..radiometry.develop import Corrections, ExposureGroup, developed
 from ..radiometry.frames import TooDark
 from ..radiometry.source import Exposing, Source, read_source
-from .match import check_exposures, check_photographs, matched, rig_exposure
+from .match import check_exposures, check_photographs, file_kind, matched, rig_exposure
 from .rig import Rig
 
 _FAILED = 0.02  # of the median of brightness over intensity: below, the lamp failed
@@ -35,7 +34,6 @@ _BRIGHT = 99.0  # percentile of a photograph that is its brightness
 _SAMPLED = 512  # pixels of the longer side: sampling for the brightness
 _CHECKED = 0.4  # fraction of the work when all lamps are checked
 _SPACE = "colour_space"
-_EXR = ".exr"
 
 
 @dataclass(frozen=True)
@@ -70,8 +68,8 @@ def apply_steps(
     exposing = None if measured is None else measured.exposing
     space = rig.spec.observations[0].image.colour_space if measured is None else measured.colour_space
     source = read_source(photographs, decoder, exposing, space)
-    of_rig = Path(rig.photographs[0].file).suffix.lower() == _EXR
-    if is_exr(source.groups[0].images[0].path) != of_rig:  # the rig's colour space is of its own kind of file
+    kinds = {file_kind(name) for name in (source.groups[0].images[0].path.name, rig.photographs[0].file)}
+    if len(kinds) > 1:  # the rig's colour space is of its own kind of file
         space = "auto"
         source = read_source(photographs, decoder, exposing, space)
     groups, warnings = source.groups, source.warnings + _framing_warning(source, photographs)

@@ -72,10 +72,11 @@ def check_photographs(
                 f"{path}: is {size[0]}×{size[1]} pixels, the rig's photographs {view.size[0]}×{view.size[1]}; set the"
                 " camera as for the rig, and do not crop"
             )
-        if rig.measured is not None and _kind(path.name) != _kind(expected.file):
+        kind, of_rig = file_kind(path.name), file_kind(expected.file)
+        if rig.measured is not None and kind != of_rig:
             raise InputError(
-                f"{path}: is a {_kind(path.name)} file, and the rig's corrections are for {_kind(expected.file)} files;"
-                " give the camera's own files as for the rig"
+                f"{path}: is a {kind} file, and the rig's corrections are for {of_rig} files; give the camera's own"
+                " files as for the rig"
             )
         if None not in (expected.orientation, source.orientation) and source.orientation != expected.orientation:
             raise InputError(
@@ -121,7 +122,8 @@ def _number(name: str) -> int | None:
     return int(numbers[-1]) if numbers else None
 
 
-def _kind(name: str) -> str:
+def file_kind(name: str) -> str:
+    """Return the suffix of an image file, one of all that its format has."""
     suffix = Path(name).suffix.lower()
     return _SUFFIXES.get(suffix, suffix)
 

@@ -6,11 +6,12 @@ import tomllib
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from irpso_addon.calibration.developing import corrections_file
 from irpso_addon.calibration.rigs.match import matched
 from irpso_addon.calibration.rigs.rig import read_rig
-from irpso_addon.capture import read_capture
+from irpso_addon.capture import Picture, read_capture
 from irpso_addon.capture.images.exr import write_exr
 from irpso_addon.capture.read import read_spec
 from irpso_addon.commands import develop, rig
@@ -297,6 +298,26 @@ def test_a_folder_that_is_no_rig_or_of_another_version_is_refused(plain_rig, lat
     assert code == 2 and "is no rig of version 1" in err
     code, _, err = run_cli("rig", "apply", plain_rig, "-o", tmp_path / "out")
     assert code == 2 and "write irpso rig apply RIG PHOTOGRAPHS -o CAPTURE" in err
+
+
+def test_a_rig_of_linear_pngs_leaves_a_cameras_jpegs_their_encoding(capture, tmp_path, monkeypatch):
+    rows = "".join(
+        f'[[observation]]\nimage = "lamp_{k + 1}.png"\nlight_direction = {LIGHTS[k].tolist()}\n' for k in range(5)
+    )
+    for name in ("filenames.txt", "light_directions.txt", "light_intensities.txt"):
+        (capture / name).unlink()
+    (capture / "capture.toml").write_text(f'format = 1\ncolour_space = "linear"\n[[camera]]\n{rows}')
+    assert run_cli("rig", "save", capture, "-o", tmp_path / "rig", "--quiet")[0] == 0
+    jpegs = tmp_path / "jpegs"
+    jpegs.mkdir()
+    for k in range(5):
+        picture = Image.new("RGB", (SIZE, SIZE), (100 + k, 100, 100))
+        picture.save(jpegs / f"lamp_{k + 1}.jpg", exif=b"Exif\0\0" + exif(TIME, focal_35mm=FOCAL))
+    monkeypatch.setattr(rig, "decode", lambda path: Picture(np.asarray(Image.open(path), np.float32)[::-1] / 255, 8))
+    for folder, space in ((capture, "linear"), (jpegs, "auto")):
+        out = tmp_path / f"out {space}"
+        code, _, err = run_cli("rig", "apply", tmp_path / "rig", folder, "-o", out, "--quiet")
+        assert (code, err) == (0, "") and read_spec(out).observations[0].image.colour_space == space
 
 
 def test_a_rig_of_linear_exrs_leaves_other_photographs_their_encoding(capture, tmp_path):
