@@ -11,6 +11,7 @@ import numpy as np
 
 from ..calibration.shading.flat import even_steps, falloff_steps
 from ..calibration.shading.known import LampFit, Samples, cells, free_scale, nearer
+from ..calibration.shading.lamp_colours import coloured, whitened
 from ..capture.bounds import without_bounds
 from ..capture.camera import Camera
 from ..capture.framing import Framing, framed
@@ -88,7 +89,7 @@ def flat_card_steps(capture: Capture, seed: int = 0) -> Generator[float, None, F
     mask = check_card(capture)
     scale = min(1.0, float(np.sqrt(_PIXELS / mask.sum())))
     small = framed(capture, Framing(scale=max(scale, _MIN_SCALE)))
-    samples, views = yield from map_steps(_samples(small, seed), lambda part: _READ_PART * part)
+    samples, views, colours = yield from map_steps(_samples(small, seed), lambda part: _READ_PART * part)
     _check_lit(capture, samples)
     middle = samples.points.mean(axis=0)
     size = float(np.linalg.norm(samples.points - middle, axis=-1).max())
@@ -98,7 +99,7 @@ def flat_card_steps(capture: Capture, seed: int = 0) -> Generator[float, None, F
     even = yield from map_steps(even_steps(samples, fit.lamps), lambda _: 1 - (1 - _READ_PART) * 0.985 ** next(steps))
     _check_known(fit, even)
     check_explained(capture, fit, "the card")
-    lights = fit.lamps.lights(near=True, scale=free_scale(samples, fit))
+    lights = coloured(fit.lamps.lights(near=True, scale=free_scale(samples, fit)), colours)
     places = np.array([light.vector for light in lights]) @ camera.matrix[:3, :3].T + camera.position
     observations = tuple(
         replace(observation, light=replace(light, vector=triple(place)))
@@ -113,22 +114,26 @@ def _unit_width_distance(camera: Camera) -> float:
     return 1 / width if camera.perspective else width
 
 
-def _samples(capture: Capture, seed: int) -> Generator[float, None, tuple[Samples, np.ndarray]]:
-    """Return some pixels' samples, in the camera's axes, and directions to the camera; yield the fraction read."""
+def _samples(capture: Capture, seed: int) -> Generator[float, None, tuple[Samples, np.ndarray, np.ndarray]]:
+    """Return some pixels' samples, in the camera's axes, directions to the camera, and the lamps' colours (K, 3).
+
+    Yields the fraction read.
+    """
     camera = replace(capture.cameras[0], matrix=np.eye(4))
     points = camera.points(capture.card_distance or 1.0)
     places = np.flatnonzero(capture.masks[0] & np.isfinite(points).all(axis=-1))
     chosen = np.sort(np.random.default_rng(seed).permutation(places)[:_TEXELS])
     points = points.reshape(-1, 3)[chosen]
-    values, weights = [], []
+    radiance, weights = [], []
     for number, observation in enumerate(capture.observations):
         pixels = without_bounds(observation.read()).reshape(-1, 4)[chosen].astype(np.float64)
         weights.append(pixels[:, 3])
-        values.append(np.where(pixels[:, 3] > 0, pixels[:, :3].mean(axis=-1), 0))
+        radiance.append(np.where(pixels[:, 3:] > 0, pixels[:, :3], 0))
         yield (number + 1) / len(capture.observations)
     normals = np.broadcast_to(_UP, points.shape)
     views = -points / np.linalg.norm(points, axis=-1, keepdims=True) if camera.perspective else normals
-    return Samples(np.stack(values), np.stack(weights), points, normals, cells(points, seed)), views
+    values, colours = whitened(np.stack(radiance), np.stack(weights))
+    return Samples(values, np.stack(weights), points, normals, cells(points, seed)), views, colours
 
 
 def _check_lit(capture: Capture, samples: Samples) -> None:

@@ -19,6 +19,7 @@ from ..calibration.shading.known import (
     linear_lamps,
     nearer,
 )  # fmt: skip
+from ..calibration.shading.lamp_colours import coloured, whitened
 from ..calibration.shading.lamps import Lamps
 from ..capture.bounds import without_bounds
 from ..capture.types import Capture, Light
@@ -125,7 +126,7 @@ def known_shape_steps(
             " one place and unit, and that masks show the mesh alone"
         )
     rows, columns = _chosen(domain, mesh, seed)
-    samples = _samples(domain, rows, columns, seed)
+    samples, colours = _samples(domain, rows, columns, seed)
     _check_lit(capture, samples)
     bake = surface_bake(domain.bake)
     caster = ShadowCaster(mesh, bake, texel_size(mesh, bake))
@@ -134,7 +135,7 @@ def known_shape_steps(
     fit, near, determined = yield from map_steps(fitting, lambda _: 1 - (1 - _READ_PART) * 0.985 ** next(steps))
     mismatch = float(np.nanmedian(free_normals(samples, fit)))
     _check_known(capture, mesh, fit, determined, mismatch)
-    lights = fit.lamps.lights(near, free_scale(samples, fit))
+    lights = coloured(fit.lamps.lights(near, free_scale(samples, fit)), colours)
     observations = tuple(
         replace(observation, light=light) for observation, light in zip(capture.observations, lights, strict=True)
     )
@@ -170,11 +171,12 @@ def _chosen(domain: Domain, mesh: MeshData, seed: int) -> tuple[np.ndarray, np.n
     return rows[chosen], columns[chosen]
 
 
-def _samples(domain: Domain, rows: np.ndarray, columns: np.ndarray, seed: int) -> Samples:
+def _samples(domain: Domain, rows: np.ndarray, columns: np.ndarray, seed: int) -> tuple[Samples, np.ndarray]:
+    """Return the texels' samples, and the lamps' colours (K, 3)."""
     stack = without_bounds(domain.stack.texels(rows, columns)).astype(np.float64)
-    values = np.where(stack[..., 3] > 0, stack[..., :3].mean(axis=-1), 0)
+    values, colours = whitened(np.where(stack[..., 3:] > 0, stack[..., :3], 0), stack[..., 3])
     points, normals = (a[rows, columns].astype(np.float64) for a in (domain.bake.position, domain.bake.normal))
-    return Samples(values, stack[..., 3], points, normals, cells(points, seed))
+    return Samples(values, stack[..., 3], points, normals, cells(points, seed)), colours
 
 
 def _check_lit(capture: Capture, samples: Samples) -> None:
