@@ -20,6 +20,8 @@ from .images.image import ImageRef, ImageStore
 from .images.linearise import Decoder, Samples
 from .types import Capture, LeftOut, Light, Observation, triple
 
+_LARGEST = 1e30  # of a light's numbers; a direction's largest number is at least the inverse
+
 
 @dataclass(frozen=True)
 class ObservationSpec:
@@ -207,15 +209,20 @@ def written_lights(spec: CaptureSpec) -> list[Light]:
     return [light for light in lights if light] if not faults else []
 
 
+def _is_direction(vector: np.ndarray) -> bool:
+    return 1 / _LARGEST < np.abs(vector).max() < _LARGEST
+
+
 def _light(observation: ObservationSpec, faults: list[CaptureError]) -> Light | None:
     vector, intensity = np.asarray(observation.vector, float), np.asarray(observation.intensity, float)
-    length = np.linalg.norm(vector)
-    axis = np.asarray(observation.axis or (), float)
+    axis = np.asarray(observation.axis or (0, 0, 1), float)
     if not np.isfinite(vector).all():
         fault = f"{observation.where}: the light is not a number; write three finite numbers", "light_nan"
-    elif observation.distant and length == 0:
+    elif np.abs(vector).max() >= _LARGEST:
+        fault = f"{observation.where}: the light is out of range; write numbers below {_LARGEST:g}", "light_nan"
+    elif observation.distant and not _is_direction(vector):
         fault = f"{observation.where}: the light direction is zero; write the direction toward the light", "light_zero"
-    elif observation.axis is not None and (not np.isfinite(axis).all() or not axis.any()):
+    elif not _is_direction(axis):
         fault = f"{observation.where}: light_axis is no direction; write where the light shines to", "light_zero"
     elif not np.isfinite(intensity).all():
         fault = f"{observation.where}: the intensity is not a number; write one or three finite numbers", "intensity"
@@ -226,7 +233,7 @@ def _light(observation: ObservationSpec, faults: list[CaptureError]) -> Light | 
             "intensity",
         )
     else:
-        direction = vector / length if observation.distant else vector
+        direction = vector / np.linalg.norm(vector) if observation.distant else vector
         unit_axis = None if observation.axis is None else triple(axis / np.linalg.norm(axis))
         return Light(
             triple(direction), triple(intensity), observation.distant, unit_axis, observation.cone, observation.cosine

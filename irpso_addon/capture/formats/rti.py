@@ -10,6 +10,8 @@ from ..spec import CaptureKind, CaptureSpec, ObservationSpec, ViewSpec
 from .lists import numbers, read_lines
 from .toml_file import camera_maker
 
+_DIGITS = 10  # a count has fewer
+
 
 def spec_of_lp(path: Path, colour_space: str = "auto") -> CaptureSpec:
     """Return the spec of a .lp file: a count, then lines of ``name x y z``; names may hold spaces.
@@ -19,7 +21,7 @@ def spec_of_lp(path: Path, colour_space: str = "auto") -> CaptureSpec:
     """
     remedy = "write the number of images, then one line for each: name x y z"
     (first, count), *rows = read_lines(path, remedy)
-    if not count.isdigit():
+    if not (count.isdecimal() and len(count) < _DIGITS):
         raise CaptureError(f"{path}: line {first}: '{count[:40]}' is not a number of images; {remedy}", "count")
     if int(count) != len(rows):
         raise CaptureError(f"{path}: says {count} images and lists {len(rows)}; correct the first line", "count")

@@ -256,7 +256,7 @@ def _light_findings(spec: CaptureSpec) -> Iterator[Finding]:
     lack = sufficiency.no_normal(lights) if lights else None
     if lack is not None:
         yield Finding(f"lights_{lack.code}", f"{spec.source}: {lack.message}", "normals", "error")
-    if len(vectors) < 3 or not np.isfinite(vectors).all() or not vectors.any(axis=1).all():
+    if len(vectors) < 3 or not lights:
         return
     odd = checks.not_unit(vectors)
     directions = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)

@@ -170,9 +170,13 @@ TABLES = {
 LP = {
     "a wrong count": ("4\na.exr 0 0 1\n", "says 4 images and lists 1"),
     "no count": ("a.exr 0 0 1\na.exr 0 0 1\n", "'a.exr 0 0 1' is not a number of images"),
+    "a raised figure as count": ("²\na.exr 0 0 1\n", "'²' is not a number of images"),
+    "a count of too many figures": ("9" * 5000 + "\na.exr 0 0 1\n", "'9*' is not a number of images"),
     "a missing column": ("1\na.exr 0 1\n", "line 2: is not 'name x y z'"),
     "text in a column": ("1\nmy a.exr 0 up 1\n", "line 2: 'up' is not a number"),
     "a zero light": ("1\na.exr 0 0 0\n", "line 2: the light direction is zero"),
+    "lights of almost no length": ("3\n" + "a.exr 1e-200 0 1e-200\n" * 3, "line 2: the light direction is zero"),
+    "lights of endless length": ("3\n" + "a.exr 1e200 0 1e200\n" * 3, "line 2: the light is out of range"),
     "a NaN light": ("1\na.exr 0 nan 0\n", "line 2: the light is not a number"),
     "a missing image": ("1\nb.exr 0 0 1\n", "b.exr: this image is not there; .*its name in .*: line 2"),
     "no lines": ("0\n", "lists no images"),
