@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..capture.types import Capture
+from ..core.errors import InputError
 from ..geometry.surface.mesh import MeshData
 from ..gpu.kernel import EntryChoice
 from ..reflectance.model import ReflectanceModel
@@ -67,6 +68,12 @@ class Job:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "schedule", self.possible(self.schedule))
+        beam = next((observation for observation in self.capture.observations if observation.light.cosine), None)
+        if self.lights.degrees and beam is not None:  # a moved lamp would keep the beam of its former place
+            raise InputError(
+                f"--refine-directions (Refine Lights): the light of '{beam.name}' falls off from its axis"
+                " (light_cosine), which is not corrected with its place; set it to 0, or leave light_cosine out"
+            )
 
     def possible(self, schedule: Schedule) -> Schedule:
         """Return a schedule as the job runs it: matte rounds need a mesh that casts shadows, solved at one size."""

@@ -7,6 +7,7 @@ import pytest
 
 from tests.builders.command_line import angle, dome_lights, read_map, render_oracle, run_cli, smooth_maps, write_card
 from tests.builders.lights import apart, gains, off
+from tests.builders.near_card import write_near_card
 
 LIGHTS = dome_lights(12)
 HELD_OUT = 7
@@ -98,6 +99,17 @@ def test_directions_are_refined_and_correct_ones_raise_no_warning(tmp_path, trut
     assert apart(found, LIGHTS).mean() < 0.6 * apart(wrong, LIGHTS).mean()
     np.testing.assert_allclose(np.array(report["lights"]["intensities"]), 1)
     assert report["warnings"] == []
+
+
+def test_directions_of_lamps_with_a_cosine_are_not_refined(tmp_path):
+    """Their beam, by which samples were divided, would stay where the lamp was: normals got worse by 5 degrees."""
+    folder = write_near_card(tmp_path / "card")
+    table = folder / "capture.toml"
+    beam = "light_axis = [0, 0, -1]\nlight_cosine = true\ncamera ="
+    table.write_text(table.read_text().replace("camera =", beam, 1))
+    code, _, error = run_cli("recover", folder, "-o", tmp_path / "out", "--refine-directions", 2)
+    assert code == 2 and "the light of 'lamp 0' falls off from its axis (light_cosine)" in error
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("degrees", ["-1", "21", "nan"])
