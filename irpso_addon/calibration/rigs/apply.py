@@ -26,7 +26,7 @@ from ..photographs import relative_path
 from ..radiometry.develop import Corrections, ExposureGroup, developed
 from ..radiometry.frames import TooDark
 from ..radiometry.source import Exposing, Source, read_source
-from .match import check_exposures, check_photographs, file_kind, matched, rig_exposure
+from .match import check_exposures, check_photographs, distinct, file_kind, matched, rig_exposure
 from .rig import Rig
 
 _FAILED = 0.02  # of the median of brightness over intensity: below, the lamp failed
@@ -74,7 +74,8 @@ def apply_steps(
         source = read_source(photographs, decoder, exposing, space)
     groups, warnings = source.groups, source.warnings + _framing_warning(source, photographs)
     store = ImageStore(decoder)
-    lamps = matched(rig, [_name(group) for group in groups], way, str(photographs))
+    names = distinct([_name(group) for group in groups], [group.name for group in groups])
+    lamps = matched(rig, names, way, str(photographs))
     taken = [photograph_at(_file(group), group.images[0].path) for group in groups]
     check_photographs(rig, groups, taken, lamps, store)
     if exposing is None:
@@ -193,6 +194,5 @@ def _file(group: ExposureGroup) -> str:
 
 
 def _name(group: ExposureGroup) -> str:
-    """Return the name of a photograph without its suffix, or of a bracket without exposures, or of a part."""
-    image = group.images[0]
-    return image.path.stem if len(group.images) == 1 and image.part is None else group.name
+    """Return the name of a photograph without its suffix, or of a bracket without exposures."""
+    return group.images[0].path.stem if len(group.images) == 1 else group.name

@@ -25,7 +25,14 @@ def matched(rig: Rig, names: Sequence[str], way: str, where: str) -> list[int]:
     way: "order" of the names (natural sort); equal "names"; the last "numbers" in names; or "auto": names if all are
     equal, else order. Raises InputError if a photograph has no lamp, or the numbers of both differ for "order".
     """
-    lamps = [Path(photograph.file).stem for photograph in rig.photographs]
+    lamps = distinct([Path(photograph.file).stem for photograph in rig.photographs],
+                     [observation.name for observation in rig.spec.observations])  # fmt: skip
+    for whose, called in ((rig.path, lamps), (where, names)):
+        if twice := next((name for n, name in enumerate(called) if name in called[:n]), None):
+            raise InputError(
+                f"{whose}: several photographs are called {twice}, as those of two cameras, and nothing says whose is"
+                " whose; give each file a name of its own, as in cam1_01.jpg"
+            )
     keys = {"names": str.lower, "numbers": _number}
     if way == "auto":
         way = "names" if sorted(map(str.lower, names)) == sorted(map(str.lower, lamps)) else "order"
@@ -55,6 +62,11 @@ def matched(rig: Rig, names: Sequence[str], way: str, where: str) -> list[int]:
                 f"{where}: {name} matches no lamp of the rig by --match {way}; the lamps are {_some(lamps)}"
             )
     return [lamp_keys.index(key) for key in photograph_keys]
+
+
+def distinct(names: Sequence[str], others: Sequence[str]) -> list[str]:
+    """Return names, or, where two are equal, as of files in two folders, the others."""
+    return list(names if len(set(names)) == len(names) else others)
 
 
 def check_photographs(

@@ -123,6 +123,39 @@ def test_without_corrections_the_capture_points_at_the_photographs(plain_rig, la
     np.testing.assert_array_equal(found.masks[0], X > 0)
 
 
+def test_equal_file_names_of_two_cameras_are_separated_by_names_of_their_own_or_refused(tmp_path):
+    def write(folder, order, named):
+        rows = []
+        for camera, lamp in order:
+            image = folder / f"cam{camera}" / f"{lamp}.exr"
+            image.parent.mkdir(parents=True, exist_ok=True)
+            write_exr(image, {"": {channel: np.full((SIZE, SIZE), 0.4, np.float32) for channel in "RGB"}})
+            name = f'name = "cam{camera} {lamp}"\n' if named else ""
+            rows.append(
+                f'[[observation]]\n{name}image = "cam{camera}/{lamp}.exr"\ncamera = "c{camera}"\n'
+                f"light_direction = [{camera}, {lamp}, 2]\n"
+            )
+        cameras = '[[camera]]\nname = "c1"\n[[camera]]\nname = "c2"\n'
+        (folder / "capture.toml").write_text(f"format = 1\n{cameras}{''.join(rows)}")
+        return folder
+
+    order = [(camera, lamp) for camera in (1, 2) for lamp in range(3)]
+    for named in (True, False):
+        first, second = (tmp_path / f"{kind} {named}" for kind in ("first", "second"))
+        write(first, order, named), write(second, order[3:] + order[:3], named)
+        assert run_cli("rig", "save", first, "-o", tmp_path / f"rig {named}", "--quiet")[0] == 0
+        command = "rig", "apply", tmp_path / f"rig {named}", second, "-o", tmp_path / f"out {named}", "--quiet"
+        code, _, err = run_cli(*command, "--match", "order")
+        if not named:
+            assert code == 2 and "several photographs are called 0.exr" in err
+            continue
+        assert (code, err) == (0, "")
+        for shot in read_spec(tmp_path / "out True").observations:
+            camera, lamp = (int(part.removeprefix("cam")) for part in shot.image.path.with_suffix("").parts[-2:])
+            assert shot.camera == camera - 1
+            np.testing.assert_allclose(np.array(shot.vector) / shot.vector[2] * 2, [camera, lamp, 2], atol=1e-6)
+
+
 def test_photographs_keep_their_own_colour_space(plain_rig, later, tmp_path):
     rows = "".join(
         f'[[observation]]\nimage = "lamp_{k + 1}.png"\nlight_direction = [0, 0, 1]\n'
