@@ -8,7 +8,7 @@ import pytest
 
 from irpso_addon.calibration.balls.ball import Ball
 from irpso_addon.calibration.balls.checks import ball_warnings, near_lamps, unknown_lens
-from irpso_addon.calibration.balls.detect import falloff, shadow
+from irpso_addon.calibration.balls.detect import evidence, falloff, shadow
 from irpso_addon.calibration.balls.detect.edges import Edges
 from irpso_addon.calibration.balls.detect.found import FoundBall, as_ball, known_tables, usable_balls
 from irpso_addon.calibration.balls.detect.outline import fitted
@@ -271,3 +271,16 @@ def test_a_ball_whose_outline_hardly_shows_is_warned_of():
 def test_photographs_a_pixel_wide_or_high_show_no_ball(size):
     image = np.ones((size[1], size[0], 4), np.float32)
     assert run_steps(search_steps([lambda: image] * 4, Camera.from_fov(*size, 35.0), KINDS)) == []
+
+
+def test_equal_lights_have_no_spread_whatever_their_mean_rounds_to():
+    lights = unit(np.random.default_rng(0).normal(size=(200, 3)))
+    spreads = [evidence._spread(np.repeat(light[None], 12, axis=0)) for light in lights]
+    assert all(isinstance(spread, float) for spread in spreads) and max(spreads) < 1e-7
+
+
+@pytest.mark.parametrize("size", [(12, 16), (24, 24), (40, 40)])
+def test_small_photographs_of_noise_show_no_ball(size):
+    readers = [lambda k=k: np.random.default_rng(k).uniform(0, 0.6, (*size, 4)).astype(np.float32) for k in range(6)]
+    camera = Camera.from_fov(size[1], size[0], 40.0)
+    assert run_steps(search_steps(readers, camera, ("mirror", "matte"))) == []

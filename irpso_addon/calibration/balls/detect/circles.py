@@ -28,7 +28,7 @@ def candidates(edges: Edges, smallest: float, largest: float, most: int) -> np.n
     rows, columns = np.nonzero(strength > floor)
     nx, ny = (part[rows, columns] for part in edges.normal)
     weight = np.minimum(strength[rows, columns] / floor - 1, 2.0)
-    per_radius = []
+    per_radius = [np.zeros((0, 4))]  # pictures too small for balls have no radius
     count = int(np.ceil(np.log(largest / smallest) / np.log(_STEP))) + 1
     for radius in smallest * _STEP ** np.arange(count):
         per_radius.append(_best_centres(columns + 0.5, rows + 0.5, nx, ny, weight, radius, edges.size))

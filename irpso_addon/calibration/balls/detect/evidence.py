@@ -129,4 +129,5 @@ def _lambert(normals: np.ndarray, values: np.ndarray) -> tuple[np.ndarray | None
 
 def _spread(lights: np.ndarray) -> float:
     """Return the spread of unit directions (N, 3): 0 if all are equal, 1 if their mean is 0."""
-    return float(1 - np.linalg.norm(lights.mean(axis=0))) ** 0.5 if len(lights) else 0.0
+    mean = float(np.linalg.norm(lights.mean(axis=0))) if len(lights) else 1.0
+    return max(0.0, 1 - mean) ** 0.5  # the mean of unit vectors may round to a length above 1
