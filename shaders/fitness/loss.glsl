@@ -38,8 +38,8 @@ float loss_of(vec3 error)
 vec3 loss_weight(vec3 error)
 {
 #if LOSS == LOSS_L1
-    // An error of 1e-4 (white is 1) bounds the weight 1 / |e|.
-    return 1.0 / max(abs(error), vec3(1e-4));
+    // An error of 1e-4 of white bounds the weight 1 / |e|.
+    return 1.0 / max(abs(error), vec3(1e-4 * u_mean_irradiance));
 #elif LOSS == LOSS_L2
     return vec3(1.0);
 #elif LOSS == LOSS_GEMAN_MCCLURE

@@ -27,12 +27,11 @@ vec2 hemisphere_from_normal(vec3 n)
     return clamp(0.5 * q + 0.5, 0.0, 1.0);
 }
 
-// Returns the searched fraction of a linear parameter's range. Radiance is proportional to it, so the brightness bounds
-// it. ALBEDO_LIMIT times the brightness includes saturated colours under grazing light; 0 searches the whole
-// range.
-float albedo_bound_of(float radiance_scale)
+// Returns the largest albedo that is searched. Radiance is proportional to it, so the brightness bounds it. ALBEDO_LIMIT
+// times the brightness includes saturated colours under grazing light; 0 searches the whole range.
+float albedo_limit_of(float radiance_scale)
 {
-    return ALBEDO_LIMIT > 0.0 ? min(1.0, ALBEDO_LIMIT * radiance_scale) : 1.0;
+    return ALBEDO_LIMIT > 0.0 ? ALBEDO_LIMIT * radiance_scale : 1e30;
 }
 
 // The paper's encoding: three numbers, normalised. A negative z is mirrored, so that the normal lies in the hemisphere.

@@ -23,7 +23,7 @@ ivec2 global_texel(ivec2 texel)
 void initialise_particle(ivec2 texel, int particle, out float x[MAX_DIMENSIONS], out float v[MAX_DIMENSIONS])
 {
     float start[MAX_DIMENSIONS];
-    encode(estimate_at(texel), albedo_bound_of(radiance_scale_at(texel)), start);
+    encode(estimate_at(texel), albedo_limit_of(radiance_scale_at(texel)), start);
     for (int block = 0; block < BLOCKS; block++) {
         ivec2 coord = global_texel(texel);
         vec4 position = random_uniform(u_seed, u_iteration, coord, particle, RANDOM_POSITION + block);

@@ -30,7 +30,7 @@ bool texel_kernel(ivec2 place)
         read_best(packed_texel, x);
     }
     Material s = estimate_at(packed_texel);
-    decode(x, albedo_bound_of(radiance_scale_at(packed_texel)), s);
+    decode(x, albedo_limit_of(radiance_scale_at(packed_texel)), s);
     float c[MAX_COMPONENTS];
     material_to(s, c);
     int first = 4 * (place.y < 6 ? place.y % 3 : min(place.x, 2));

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-MIN_ERROR = 1e-4  # least l1 error in the weight 1 / |e|
+MIN_ERROR = 1e-4  # least l1 error in the weight 1 / |e|, as a part of white
 
 
 def loss(kind, e):
@@ -11,9 +11,8 @@ def loss(kind, e):
     return ({"l1": np.abs, "l2": np.square} | kinds)[kind](e)
 
 
-def loss_weight(kind, e):
-    """Return loss′(e) / e, up to a constant factor."""
-    kinds = {
-        "l1": lambda a: 1 / np.maximum(np.abs(a), MIN_ERROR), "l2": np.ones_like, "cauchy": lambda a: 1 / (1 + a**2)
-    }  # fmt: skip
-    return kinds[kind](e)
+def loss_weight(kind, e, white=1.0):
+    """Return loss′(e) / e, up to a constant factor. white: its radiance under the mean light."""
+    if kind == "l1":
+        return 1 / np.maximum(np.abs(e), MIN_ERROR * white)
+    return np.ones_like(e) if kind == "l2" else 1 / (1 + e**2)

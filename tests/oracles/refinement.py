@@ -28,7 +28,8 @@ class Texel:
         self.radiance = np.where(self.weight > 0, samples[:, :3], 0)
         self.lights, self.views = (a[:, :3].astype(np.float64) for a in (domain.lights, domain.views))
         self.intensities = domain.intensities.astype(np.float64)
-        level = self.intensities.mean() * scale
+        self.white = self.intensities.mean()
+        level = self.white * scale
         self.unit = 1 / (delta * level) if loss == "cauchy" else 1.0
         brightest = np.maximum(self.radiance.max(axis=-1, keepdims=True), level)
         self.error_scale = (level / brightest) ** power if loss == "cauchy" else np.ones_like(self.weight)
@@ -88,7 +89,8 @@ class Texel:
         """Return JᵀWJ (n, n) and JᵀWe (n,), with the weights of iteratively reweighted least squares."""
         e = self.error(values)
         scaled = self.unit * self.error_scale * e
-        weight = (self.weight * self.error_scale**2 * loss_weight(self.loss, scaled) * ~(self.bound & (e == 0))).ravel()
+        weight = self.weight * self.error_scale**2 * loss_weight(self.loss, scaled, self.white)
+        weight = (weight * ~(self.bound & (e == 0))).ravel()
         j = []
         for u in range(len(self.unknowns)):
             ends = [self.error(self.moved(values, sign * _STEP * np.eye(len(self.unknowns))[u])) for sign in (-1, 1)]

@@ -119,13 +119,11 @@ class Problem:
 
     def width_of(self, p: Parameter) -> np.ndarray | float:
         """Return the searched part of a parameter's range: for a linear colour up to its brightness."""
+        low, high = p.range
         factor = self.schedule.swarm.linear_limit
-        share = (
-            np.minimum(1, factor * self.scale[..., None])
-            if p.kind == "linear" and p.components == 3 and factor
-            else 1.0
-        )
-        return (p.range[1] - p.range[0]) * share
+        if p.kind == "linear" and p.components == 3 and factor:
+            return np.minimum(high, factor * self.scale[..., None]) - low
+        return high - low
 
     @property
     def level(self) -> np.ndarray:

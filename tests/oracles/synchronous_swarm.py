@@ -97,7 +97,8 @@ def sample_weights(problem: SynchronousSwarm, incumbent: dict[str, np.ndarray]) 
     weight = problem.domain.stack.values[..., 3:].astype(np.float64)
     if problem.schedule.fitness.loss == "cauchy":  # from units of the sample's δ² to those of the texel's
         weight = weight * (problem.schedule.fitness.delta * problem.level[..., None] / problem.delta) ** 2
-    return weight * loss_weight(problem.schedule.fitness.loss, e)
+    white = problem.domain.intensities.astype(np.float64).mean()
+    return weight * loss_weight(problem.schedule.fitness.loss, e, white)
 
 
 def system(problem: SynchronousSwarm, s: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

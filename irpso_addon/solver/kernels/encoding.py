@@ -10,10 +10,12 @@ from ..settings.groups import NormalSearch
 from ..settings.resolve import ResolvedSwarm
 from ..settings.schedule import MAX_DIMENSIONS
 
+_LEAST = 1e-6  # part of an albedo's range that is searched, however dark the texel
+
 
 @dataclass(frozen=True)
 class Encoding:
-    """dimensions: n, 0 to 8. source: GLSL ``decode(x, albedo_bound, s)`` and ``encode(s, albedo_bound, x)``.
+    """dimensions: n, 0 to 8. source: GLSL ``decode(x, albedo_limit, s)`` and ``encode(s, albedo_limit, x)``.
 
     defines: kernels'. lambert_dimensions: bit mask of the dimensions that a Lambertian fit sets: those of
     normal and albedo.
@@ -59,7 +61,7 @@ def build_encoding(model: ReflectanceModel, stage: ResolvedSwarm, normal: Normal
             at += size
             continue
         low, width = p.range[0], p.width
-        span = f"{width!r} * albedo_bound" if p.is_albedo else repr(width)
+        span = f"clamp(albedo_limit - {low!r}, {_LEAST * width!r}, {width!r})" if p.is_albedo else repr(width)
         for i in range(p.components):
             field = f"s.{p.name}{f'[{i}]' if p.components > 1 else ''}"
             decode.append(f"{field} = {low!r} + {span} * x[{at}];")
@@ -73,7 +75,7 @@ def build_encoding(model: ReflectanceModel, stage: ResolvedSwarm, normal: Normal
     clear = "for (int i = 0; i < MAX_DIMENSIONS; i++) { x[i] = 0.0; }"
     source = "\n".join(
         ['#include "material.glsl"', '#include "swarm/encoding.glsl"',
-         "void decode(inout float x[MAX_DIMENSIONS], float albedo_bound, inout Material s) {", *decode, "}",
-         "void encode(Material s, float albedo_bound, out float x[MAX_DIMENSIONS]) {", clear, *encode, "}", ""]
+         "void decode(inout float x[MAX_DIMENSIONS], float albedo_limit, inout Material s) {", *decode, "}",
+         "void encode(Material s, float albedo_limit, out float x[MAX_DIMENSIONS]) {", clear, *encode, "}", ""]
     )  # fmt: skip
     return Encoding(at, source, defines | {"DIMENSIONS": at, "BLOCKS": blocks_of(at)}, mask)

@@ -11,7 +11,7 @@ bool texel_kernel(ivec2 texel)
     if (state_at(texel) != TEXEL_OUTSIDE) {
         float best[MAX_DIMENSIONS];
         read_best(texel, best);
-        decode(best, albedo_bound_of(radiance_scale_at(texel)), s);
+        decode(best, albedo_limit_of(radiance_scale_at(texel)), s);
     }
     float c[MAX_COMPONENTS];
     material_to(s, c);

@@ -50,7 +50,7 @@ bool texel_kernel(ivec2 texel)
     order_lobes(x, v);
 
     Material s = estimate_at(texel);
-    decode(x, albedo_bound_of(t.radiance_scale), s);
+    decode(x, albedo_limit_of(t.radiance_scale), s);
     float weights;
     float fitness = fitness_of(t, s, weights);
     fitness = fitness < UNFIT ? with_priors(fitness, weights, s) : UNFIT;

@@ -27,7 +27,7 @@ bool texel_kernel(ivec2 texel)
     if (state_at(texel) == TEXEL_SOLVED && texelFetch(u_best_fitness, texel, 0).x > u_threshold) {
         Texel t = observed_texel(texel);
         float inverse_delta = inverse_delta_of(t.radiance_scale);
-        float albedo_bound = albedo_bound_of(t.radiance_scale);
+        float albedo_limit = albedo_limit_of(t.radiance_scale);
         Material estimate = estimate_at(texel);
 #if LINEAR_BLOCKS > 0
         Material incumbent = material_of_best(texel);
@@ -44,7 +44,7 @@ bool texel_kernel(ivec2 texel)
                 float v[MAX_DIMENSIONS];
                 moved_particle(texel, t.frame, min(first + p, PARTICLES - 1), x, v);
                 s[p] = estimate;
-                decode(x, albedo_bound, s[p]);
+                decode(x, albedo_limit, s[p]);
                 sum[p] = 0.0;
 #if LINEAR_BLOCKS > 0
                 clear_equations(equations[p]);

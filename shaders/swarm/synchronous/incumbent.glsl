@@ -12,7 +12,7 @@ Material material_of_best(ivec2 texel)
     float w[MAX_WEIGHTS];
     read_best(texel, best);
     read_best_linear(texel, w);
-    decode(best, albedo_bound_of(radiance_scale_at(texel)), s);
+    decode(best, albedo_limit_of(radiance_scale_at(texel)), s);
     linear_from(w, s);
 #endif
     return s;

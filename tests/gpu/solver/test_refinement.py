@@ -30,6 +30,24 @@ def at(values, row, column):
 # ---- against float64 and scipy -----------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("loss", ["l1", "l2", "cauchy"])
+def test_maps_do_not_depend_on_the_unit_of_radiance(recover, loss):
+    """Photographs and intensities times a power of two are the same numbers in float32, but for their exponents."""
+    model, shape = load_model("lambert"), (6, 9)
+    domain = observed(model, materials(model, shape), shape, noise=0.005, shadow=0.1, colored=True)
+    schedule = load_schedule("standard").replaced(loss=loss)
+    maps = []
+    for factor in (1.0, 2.0**-10):
+        samples = np.stack([*domain.stack.layers()]) * np.float32([factor, factor, factor, 1])
+        scaled = replace(with_samples(domain, samples), intensities=domain.intensities * np.float32(factor))
+        recovery = recover(scaled, model, schedule)
+        recovery.step()
+        maps.append(recovery.maps())
+    for name, value in maps[0].values.items():
+        np.testing.assert_allclose(maps[1].values[name], value, atol=1e-6, err_msg=name)
+        np.testing.assert_allclose(maps[1].confidence[name], maps[0].confidence[name], rtol=1e-3, err_msg=name)
+
+
 NAMES = ["lambert", "principled", "metallic_roughness", "cook_torrance_two_lobe", WARD]
 # Each is a shader of its own, of seconds to compile: a loss knows nothing of the model.
 STEPS = [(name, "cauchy", central) for name in NAMES for central in (True, False)]

@@ -1,6 +1,7 @@
 """The particle encoding of a stage: its GLSL, run as Python, is compared with the table of the model."""
 
 import re
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -22,7 +23,7 @@ def encoding_of(search, model=TWO_LOBES, normal="hemisphere"):
 
 
 def functions_of(encoding):
-    """Return decode(x, albedo_bound, s) and encode(s, albedo_bound) as Python functions: assignments are alike."""
+    """Return decode(x, albedo_limit, s) and encode(s, albedo_limit) as Python functions: assignments are alike."""
 
     def body(name):
         lines = re.search(rf"void {name}\(.*?\) {{\n(.*?)\n}}", encoding.source, re.S).group(1).splitlines()
@@ -39,12 +40,12 @@ def functions_of(encoding):
         "cartesian_from_normal": lambda n: n[1][1],
     }
 
-    def decode(x, albedo_bound, s):
-        exec(body("decode"), names | {"x": x, "albedo_bound": albedo_bound, "s": s})
+    def decode(x, albedo_limit, s):
+        exec(body("decode"), names | {"x": x, "albedo_limit": albedo_limit, "s": s})
 
-    def encode(s, albedo_bound):
+    def encode(s, albedo_limit):
         x = [0.0] * 8
-        exec(body("encode"), names | {"x": x, "albedo_bound": albedo_bound, "s": s})
+        exec(body("encode"), names | {"x": x, "albedo_limit": albedo_limit, "s": s})
         return x
 
     return decode, encode
@@ -74,12 +75,12 @@ def test_a_position_has_one_number_per_searched_dimension(search, normal, n):
 
 
 @pytest.mark.parametrize(("search", "normal", "n"), SEARCHES)
-@pytest.mark.parametrize("albedo_bound", [1.0, 0.25])
-def test_a_position_decodes_into_the_ranges_and_encodes_back(search, normal, n, albedo_bound):
+@pytest.mark.parametrize("albedo_limit", [1.0, 0.25])
+def test_a_position_decodes_into_the_ranges_and_encodes_back(search, normal, n, albedo_limit):
     decode, encode = functions_of(encoding_of(search, normal=normal))
     x = [float(v) for v in np.random.default_rng(n).uniform(0, 1, 8)]
     s = material()
-    decode(x, albedo_bound, s)
+    decode(x, albedo_limit, s)
     at = 0
     for p in TWO_LOBES.parameters:
         if not {"all", p.name, p.stage} & set(search):
@@ -90,12 +91,26 @@ def test_a_position_decodes_into_the_ranges_and_encodes_back(search, normal, n, 
             at += size
         else:
             low, high = p.range
-            high = low + (high - low) * (albedo_bound if p.kind == "linear" and p.components == 3 else 1)
+            high = min(high, albedo_limit) if p.kind == "linear" and p.components == 3 else high
             wanted = low + (high - low) * np.array(x[at : at + p.components])
             np.testing.assert_allclose(np.ravel(getattr(s, p.name)), wanted, rtol=1e-12)
             at += p.components
     assert at == n
-    np.testing.assert_allclose(encode(s, albedo_bound), x[:n] + [0.0] * (8 - n), rtol=1e-12)
+    np.testing.assert_allclose(encode(s, albedo_limit), x[:n] + [0.0] * (8 - n), rtol=1e-12)
+
+
+@pytest.mark.parametrize(("extent", "limit", "wanted"), [
+    ((0.0, 0.1), 0.25, (0.0, 0.1)), ((0.1, 0.4), 0.25, (0.1, 0.25)), ((0.1, 0.4), 1e30, (0.1, 0.4)),
+])  # fmt: skip
+def test_the_limit_of_an_albedo_is_an_albedo_and_no_part_of_its_range(extent, limit, wanted):
+    parameters = tuple(replace(p, range=extent) if p.is_albedo else p for p in TWO_LOBES.parameters)
+    decode, _ = functions_of(encoding_of(["base_color"], replace(TWO_LOBES, parameters=parameters)))
+    found = []
+    for end in (0.0, 1.0):
+        s = material()
+        decode([end] * 8, limit, s)
+        found.append(s.base_color)
+    np.testing.assert_allclose(found, np.repeat(np.array(wanted)[:, None], 3, axis=1), rtol=1e-12)
 
 
 def test_values_out_of_range_are_encoded_at_the_limit():
