@@ -12,6 +12,7 @@ from ...capture.types import Light, triple
 
 _ROUNDS = 10  # of median polish
 _SHADED = 0.1  # of a texel's median radiance: below, light from elsewhere may have another colour
+_DARK = 0.05  # of the brightest channel: a texel's channel below hardly exceeds the noise
 _LEAST = 50  # samples with which a photograph shows its lamp's colour
 _ALIKE = 0.1  # logarithm: lamps whose channels all differ by less have one colour; gloss changes ratios so much
 
@@ -28,24 +29,43 @@ def whitened(radiance: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.n
 def lamp_colours(radiance: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Return (K, 3) factors of the lamps' channels: their geometric mean is 1 for each lamp, and over all lamps.
 
-    The logarithms of a matt sample's channels, less their mean, are a sum of the texel's and the lamp's, whatever the
-    shading. Both by median polish (Tukey 1977, Exploratory Data Analysis).
+    A channel that the texels hardly reflect has the mean of the others.
     """
-    brightness = np.where(weight > 0, radiance.min(axis=-1), np.nan)
+    samples = np.where(weight[..., None] > 0, radiance, 0)
+    first = int(samples.sum(axis=(0, 1)).argmax())
+    over_first = np.zeros((len(radiance), 3))
+    known = np.ones(3, bool)
+    for channel in {0, 1, 2} - {first}:
+        ratios = _ratios(samples[..., channel], samples[..., first])
+        known[channel] = ratios is not None
+        over_first[:, channel] = 0 if ratios is None else ratios
+    over_first[:, ~known] = over_first[:, known].mean(axis=-1, keepdims=True)
+    over_first -= over_first.mean(axis=-1, keepdims=True)
+    over_first -= over_first.mean(axis=0)
+    return np.ones_like(over_first) if np.abs(over_first).max() < _ALIKE else np.exp(over_first)
+
+
+def _ratios(values: np.ndarray, first: np.ndarray) -> np.ndarray | None:
+    """Return (K,) logarithms of the lamps' ratio of two channels (K, T); None if the texels hardly reflect ``values``.
+
+    The logarithm of the ratio of a matt sample's channels is a sum of the texel's and the lamp's, whatever the shading.
+    Both by median polish (Tukey 1977, Exploratory Data Analysis). 0 for photographs with few samples.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # texels and photographs without samples are NaN
-        seen = brightness > np.maximum(_SHADED * np.nanmedian(brightness, axis=0), 0)
-        logarithms = np.log(np.where(seen[..., None], radiance, np.nan))
-        left = logarithms - logarithms.mean(axis=-1, keepdims=True)
-        of_lamps = np.zeros((len(radiance), 1, 3))
+        level = np.nanmedian(np.where(first > 0, first, np.nan), axis=0)
+        lit = first > _SHADED * level
+        reflected = np.nanmedian(np.where(lit, values, np.nan), axis=0) > _DARK * level
+        seen = lit & reflected & (values > 0)
+        if not reflected.any() or np.median(seen.sum(axis=1)) < _LEAST:
+            return None
+        left = np.log(np.where(seen, values, np.nan)) - np.log(np.where(seen, first, np.nan))
+        of_lamps = np.zeros((len(values), 1))
         for _ in range(_ROUNDS):
-            left = left - np.nanmedian(left, axis=0, keepdims=True)
+            left = left - np.nanmedian(left, axis=0)
             step = np.nanmedian(left, axis=1, keepdims=True)
             left, of_lamps = left - step, of_lamps + step
-    of_lamps = np.where(seen.sum(axis=1)[:, None] < _LEAST, 0, of_lamps[:, 0])
-    of_lamps -= of_lamps.mean(axis=-1, keepdims=True)
-    of_lamps -= of_lamps.mean(axis=0)
-    return np.ones_like(of_lamps) if np.abs(of_lamps).max() < _ALIKE else np.exp(of_lamps)
+    return np.where(seen.sum(axis=1) < _LEAST, 0, of_lamps[:, 0])
 
 
 def coloured(lights: Sequence[Light], colours: np.ndarray) -> list[Light]:

@@ -23,10 +23,10 @@ def colours_of_lamps(spread, count=COUNT):
     return np.exp(logarithms - logarithms.mean(axis=0))
 
 
-def scene(colours, noise=0.003):
+def scene(colours, noise=0.003, base=1.0):
     """Return radiances (K, T, 3) of texels of many colours, a tenth of them in highlights and another in shadow."""
     rng = np.random.default_rng(6)
-    base, shading = rng.uniform(0.05, 0.9, (TEXELS, 3)), rng.uniform(0.2, 1, (COUNT, TEXELS, 1))
+    base, shading = base * rng.uniform(0.05, 0.9, (TEXELS, 3)), rng.uniform(0.2, 1, (COUNT, TEXELS, 1))
     fate = rng.uniform(size=(COUNT, TEXELS, 1))
     shading, shine = np.where(fate < 0.1, 0, shading), np.where(fate > 0.9, rng.exponential(1, fate.shape), 0)
     radiance = colours[:, None] * (base * shading + shine) + 0.01 * base
@@ -57,6 +57,16 @@ def test_lamps_of_one_colour_are_white_and_so_is_a_dark_photograph():
     dark[3] = 0
     found = lamp_colours(dark, np.ones((COUNT, TEXELS)))
     assert np.isfinite(found).all() and np.ptp(np.log(np.delete(found, 3, axis=0))) > 0.5
+
+
+@pytest.mark.parametrize("blue", [0.0, 0.002])
+def test_a_channel_that_the_texels_hardly_reflect_shows_no_colour(blue):
+    truth, white = colours_of_lamps(0.4), np.ones((COUNT, 3))
+    weight, base = np.ones((COUNT, TEXELS)), np.array([1.0, 1.0, blue])
+    np.testing.assert_array_equal(lamp_colours(scene(white, base=base), weight), 1)
+    found = lamp_colours(scene(truth, base=base), weight)
+    np.testing.assert_allclose(found[:, 0] / found[:, 1], truth[:, 0] / truth[:, 1], rtol=0.02)
+    np.testing.assert_allclose(found[:, 2], np.sqrt(found[:, 0] * found[:, 1]))
 
 
 def test_near_lamps_of_several_colours_are_found_over_a_coloured_card():
