@@ -12,6 +12,8 @@ import numpy as np
 from ..blender.materials import material
 from ..blender.materials.margins import blender_maps
 from ..blender.materials.surface_check import check_surface
+from ..capture.card import near_lights
+from ..capture.inspect.units import card_problems
 from ..capture.types import Capture
 from ..core.errors import InputError, some
 from ..core.optional import present
@@ -100,7 +102,8 @@ def maps_warnings(run: Run, maps: Maps) -> list[str]:
     of_lights = _light_warnings(run, domain, maps)
     of_mesh = [*_coverage_warnings(domain, maps), *_unseen_warnings(domain, job.capture)]
     unsearched = unsearched_names(job.schedule, job.model, job.fixed)
-    return [*limit_warnings(maps, unsearched), *modes, *of_lights, *run.warnings, *of_mesh, *_oblong_warnings(job)]
+    of_card = [*_place_warnings(job), *_oblong_warnings(job)]
+    return [*limit_warnings(maps, unsearched), *modes, *of_lights, *run.warnings, *of_mesh, *of_card]
 
 
 def _coverage_warnings(domain: Domain, maps: Maps) -> list[str]:
@@ -112,6 +115,13 @@ def _coverage_warnings(domain: Domain, maps: Maps) -> list[str]:
         f"the photographs show {seen} of the mesh's {whole} texels lit: check the mesh's place and unit, --object and"
         " the cameras, and that its normals point outward"
     ]
+
+
+def _place_warnings(job: Job) -> list[str]:
+    """Return warnings of near lights behind a card, or so far from it that a unit is wrong."""
+    if job.mesh is not None or not near_lights(job.capture):
+        return []
+    return [text for _, text in card_problems(job.capture)]
 
 
 def _oblong_warnings(job: Job) -> list[str]:

@@ -1,5 +1,9 @@
 """A flat card under near lights, from files in millimetres to maps: through the command line and through the window."""
 
+import json
+import re
+import shutil
+
 import bpy
 import numpy as np
 import pytest
@@ -41,6 +45,25 @@ def test_a_near_lit_card_needs_its_distance(captures, tmp_path):
         assert angle(read_map(tmp_path / name / "normal.exr"), normals).max() < 0.1
     code, _, said = run_cli("recover", stated, *OPTIONS, "--distance", 1, "-o", tmp_path / "other")
     assert code == 0 and angle(read_map(tmp_path / "other" / "normal.exr"), normals).mean() > 30
+
+
+def test_lamps_behind_the_card_are_warned_of(captures, tmp_path):
+    folder = tmp_path / "behind"
+    shutil.copytree(captures[0], folder)
+    table = folder / "capture.toml"
+    numbers = r"light_position = \[([^,]+), ([^,]+), ([^,]+)\]"
+
+    def behind(match):  # the sign of z, from the card, is wrong
+        x, y, z = map(float, match.groups())
+        return f"light_position = [{x}, {y}, {-2 * DISTANCE - z}]"
+
+    table.write_text(re.sub(numbers, behind, table.read_text(), count=4))
+    command = "recover", folder, "-o", tmp_path / "out", "--model", "lambert", "--iterations", 20, "--quiet"
+    code, _, said = run_cli(*command)
+    (warning,) = [
+        line for line in json.loads((tmp_path / "out" / "report.json").read_text())["warnings"] if "behind" in line
+    ]
+    assert code == 0 and warning in said and warning.startswith("4 of 16 near lights lie behind the card, which is 420")
 
 
 @pytest.mark.parametrize(
