@@ -258,7 +258,9 @@ def _solved(
 def _summary(report: dict, folder: Path, seconds: float) -> str:
     lines = [f"{report['texels']} texels, {report['seconds']['solve']:.1f} s, written to {folder} in {seconds:.1f} s"]
     if unseen := report["unseen_texels"]:
-        lines.append(f"{unseen} more texels are seen and lit in no photograph and copy the nearest recovered texel")
+        lines.append(
+            f"{unseen} more texels have no usable sample in any photograph and copy the nearest recovered texel"
+        )
     if (found := report.get("interreflection", {})).get("share", 0) > 0:
         lines.append(
             f"light that the subject throws on itself: {found['share']:.0%} of what the photographs show; it leaves"

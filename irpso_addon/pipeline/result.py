@@ -36,6 +36,7 @@ from .run import Run
 _NO_EXTRAS = DerivedMaps()
 _OBLONG = 0.005  # relative difference of the sides of a pixel
 _MIN_SEEN = 0.1  # of the mesh's texels: with fewer, the mesh probably stands elsewhere
+_SAMPLED, _MIN_OVEREXPOSED = 1 << 16, 1e-3  # texels that are looked at; part of the subject that is warned of
 _UNSTATED = (1.0, 1.0, 1.0)  # the intensity of lights in a capture that states none
 
 
@@ -101,6 +102,7 @@ def maps_warnings(run: Run, maps: Maps) -> list[str]:
     modes = mode_warnings(maps, job.schedule.fitness.priors)
     of_lights = _light_warnings(run, domain, maps)
     of_mesh = [*_coverage_warnings(domain, maps), *_unseen_warnings(domain, job.capture)]
+    of_mesh += _overexposed_warnings(domain, maps)
     unsearched = unsearched_names(job.schedule, job.model, job.fixed)
     of_card = [*_place_warnings(job), *_oblong_warnings(job)]
     return [*limit_warnings(maps, unsearched), *modes, *of_lights, *run.warnings, *of_mesh, *of_card]
@@ -122,6 +124,20 @@ def _place_warnings(job: Job) -> list[str]:
     if job.mesh is not None or not near_lights(job.capture):
         return []
     return [text for _, text in card_problems(job.capture)]
+
+
+def _overexposed_warnings(domain: Domain, maps: Maps) -> list[str]:
+    """Return a warning of texels without a recovered value because all that shows them is clipped."""
+    rows, columns = np.nonzero(domain.bake.coverage & ~maps.solved)
+    every = max(1, -(-len(rows) // _SAMPLED))
+    clipped = domain.stack.texels(rows[::every], columns[::every])[..., 3] < 0
+    count = every * int(clipped.any(axis=0).sum())
+    if count < _MIN_OVEREXPOSED * domain.bake.coverage.sum():
+        return []
+    return [
+        f"about {count} texels are overexposed in every photograph that shows them, and copy darker neighbours:"
+        " photograph them with a shorter exposure as well"
+    ]
 
 
 def _oblong_warnings(job: Job) -> list[str]:

@@ -10,9 +10,11 @@ import pytest
 
 from irpso_addon.capture.camera import Camera
 from irpso_addon.commands.recover import _summary
-from irpso_addon.pipeline.result import _oblong_warnings
+from irpso_addon.geometry.domain import with_samples
+from irpso_addon.pipeline.result import _oblong_warnings, _overexposed_warnings
 from tests.builders import command_line as cli_maker
 from tests.builders.command_line import MODELS, angle, read_map, run_cli
+from tests.builders.domains import make_domain
 from tests.builders.recovered import FILES, LIGHTS, OTHERS, OWN, SHAPE, recovered_models
 
 recovered = pytest.fixture(recovered_models, scope="module")
@@ -238,3 +240,16 @@ def test_a_card_of_oblong_pixels_gets_a_warning(height, mesh, warned):
     camera = Camera(10, 10, (5.0, 10 / height), (5.0, 5.0), np.eye(4), False)
     lines = _oblong_warnings(SimpleNamespace(mesh=mesh, capture=SimpleNamespace(cameras=[camera])))
     assert [line[:46] for line in lines] == ["the card's pixels are 2 times as wide as high:"] * warned
+
+
+@pytest.mark.parametrize(("clipped", "dark", "count"), [(12, 0, 12), (0, 12, 0), (12, 30, 12)])
+def test_texels_that_are_clipped_in_every_photograph_get_a_warning(clipped, dark, count):
+    """Their samples are lower bounds alone: none is recovered, and the neighbours whose values they get are darker."""
+    domain = make_domain(10, 20, holes=False)
+    samples = np.stack([*domain.stack.layers()])
+    samples[:, 0, :clipped, 3] = -7.5  # all channels, weight 1 (capture/bounds.py)
+    samples[:, 2:, :3, :3] = 0
+    samples[:, 5].reshape(len(samples), -1, 4)[:, :dark] = 0
+    domain = with_samples(domain, samples)
+    lines = _overexposed_warnings(domain, SimpleNamespace(solved=domain.solvable))
+    assert len(lines) == (count > 0) and (not count or f"about {count} texels are overexposed" in lines[0])
