@@ -27,8 +27,8 @@ vec2 hemisphere_from_normal(vec3 n)
     return clamp(0.5 * q + 0.5, 0.0, 1.0);
 }
 
-// Returns the largest albedo that is searched. Radiance is proportional to it, so the brightness bounds it. ALBEDO_LIMIT
-// times the brightness includes saturated colours under grazing light; 0 searches the whole range.
+// Returns the largest albedo that is searched. Radiance is proportional to it, so the brightness bounds it.
+// ALBEDO_LIMIT times the brightness includes saturated colours under grazing light; 0 searches the whole range.
 float albedo_limit_of(float radiance_scale)
 {
     return ALBEDO_LIMIT > 0.0 ? ALBEDO_LIMIT * radiance_scale : 1e30;

@@ -51,7 +51,8 @@ class SheenPhase(NeighbourTest):
         yield
         chosen = self.read(self.decided)[..., 0] > 0
         first, fitness = present(self._measurements.fitness), self._measurements.sheen_fitness
-        strict = np.where(fitness < (1 - _STRONG_GAIN) * first, fitness / np.float32(self._ratio), fitness)
+        with np.errstate(divide="ignore"):  # a ratio of 0 accepts no other normal
+            strict = np.where(fitness < (1 - _STRONG_GAIN) * first, fitness / np.float32(self._ratio), fitness)
         fitness, sheen_chosen = np.where(chosen, strict, first), chosen.astype(np.float32)
         return replace(self._measurements, fitness=fitness, sheen=None, sheen_chosen=sheen_chosen)
 

@@ -140,7 +140,7 @@ class Fitness:
     loss: Loss = setting("Loss", "How a difference between render and photograph counts", choices=_LOSSES)
     delta: float = setting(
         "Delta", "The difference beyond which a sample counts as an outlier, as a part of the texel's scale",
-        exclusive_minimum=True, soft_max=0.5,
+        minimum=1e-6, soft_max=0.5,
     )  # fmt: skip
     scale_percentile: float = setting(
         "Scale Percentile", "A texel's scale is this percentile of its radiances. Delta and Shadow are parts of the"
@@ -148,7 +148,7 @@ class Fitness:
         exclusive_minimum=True, maximum=100, subtype="PERCENTAGE", precision=1,
     )  # fmt: skip
     shadow: float = setting(
-        "Shadow", "Samples under this part of a texel's scale count as shadow (Cauchy loss only)", soft_max=1
+        "Shadow", "Samples under this part of a texel's scale count as shadow (Cauchy loss only)", maximum=1
     )
     priors: bool = setting(
         "Model's Priors", "Use the model's priors for parameters that the photographs hardly determine"
@@ -178,10 +178,10 @@ class Prefit:
     refinement_iterations: int = setting(
         "Refinement", "Levenberg–Marquardt steps of the prefit, after its swarms", 5, maximum=MAX_STEPS, soft_max=30
     )
-    shadow: float = setting("Shadow", "Samples under this part of a texel's scale count as shadow", 0.3, soft_max=1)
+    shadow: float = setting("Shadow", "Samples under this part of a texel's scale count as shadow", 0.3, maximum=1)
     indirect_shadow: float = setting(
         "Shadow Where Indirect", "Where a texel has much indirect light, samples under this part of its scale"
-        " count as shadow, and its normal is fitted again to the brighter samples. 0 is off", 0.0, soft_max=1,
+        " count as shadow, and its normal is fitted again to the brighter samples. 0 is off", 0.0, maximum=1,
     )  # fmt: skip
     indirect_share: float = setting(
         "Least Indirect Share", "Subtract the light of other surfaces from texels where it is at least this part"
