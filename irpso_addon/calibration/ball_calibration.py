@@ -276,8 +276,13 @@ def _check_distance(request: Request, view: ViewSpec, camera: Camera, radius: fl
 
 
 def _distance_warnings(calibrated: Calibrated) -> list[str]:
-    """Return a warning if the source's distance of the card is not that of a card on the table under the balls."""
+    """Return a warning if the source's distance is not that of a card on the table under the balls, or it may tilt."""
     stated, table = calibrated.spec.card_distance, calibrated.card_distance
+    if calibrated.new_distance is not None and calibrated.spec.framing.corners == AUTO:
+        return [
+            f"{CARD_DISTANCE} = {calibrated.new_distance:g} is that of a table that faces the camera; corners are"
+            ' searched later: where they show a tilt, give the four corners in place of "auto", or --card-width'
+        ]
     if not calibrated.shows_distance or stated is None or _THICKEST <= stated / table <= 1 + _SAME_DISTANCE:
         return []
     return [

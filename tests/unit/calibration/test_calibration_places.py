@@ -139,6 +139,10 @@ def test_the_distance_of_a_tilted_table_counts_on_the_lenss_axis(balls):
         found, result=replace(found.result, views=tuple(views)), spec=replace(spec, framing=Framing(corners=corners))
     )
     assert tilted.card_distance == pytest.approx(400, rel=1e-6)
+    searched = replace(spec, framing=Framing(corners="auto"))
+    assert any(
+        "faces the camera; corners are searched later" in text for text in calibrated(balls, searched, 10.0).warnings
+    )
 
 
 def test_an_angle_leaves_the_principal_point_and_the_distortion(balls, tmp_path):
