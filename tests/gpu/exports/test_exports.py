@@ -146,7 +146,10 @@ def openlime_radiance(folder, light):
     return np.where(length < 0.5, 0, shaded * info["brightness"])
 
 
-@pytest.mark.parametrize(("name", "bound"), [("cook_torrance_two_lobe", 0.06), ("principled", 0.06), ("lambert", 0.02)])
+@pytest.mark.parametrize(
+    ("name", "bound"),
+    [("cook_torrance_two_lobe", 0.06), ("principled", 0.06), ("metallic_roughness", 0.08), ("lambert", 0.02)],
+)
 def test_openlimes_layer_looks_like_the_material(name, bound, tmp_path):
     result = result_of(name)
     found = openlime.write_openlime(result, tmp_path / "layer")
