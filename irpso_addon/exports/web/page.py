@@ -136,7 +136,7 @@ def _material_levels(maps: Maps) -> Iterable[Level]:
 
 
 def _photograph_levels(photographs: Photographs, k: int) -> Iterable[Level]:
-    radiance = np.nan_to_num(photographs.pictures[k])[::-1] / np.float32(photographs.white(k))
+    radiance = np.nan_to_num(photographs.pictures[k])[::-1] / np.float32(photographs.whites[k])
     return levels(radiance, np.ones(radiance.shape[:2], bool))
 
 
@@ -197,7 +197,7 @@ def _light_list(photographs: Photographs | None) -> Sequence[dict[str, Any]]:
     return [
         {
             "name": name, "unseen": bool(photographs.unseen[k]), "light": photographs.lights[k],
-            "intensity": photographs.intensities[k], "white": photographs.white(k),
+            "intensity": photographs.intensities[k], "white": photographs.whites[k],
         }
         for k, name in enumerate(photographs.names)
     ]  # fmt: skip

@@ -92,7 +92,7 @@ def test_a_photograph_stands_beside_the_render_under_its_near_lamp(browser, tmp_
         assert psnr(codes(browser), srgb(np.minimum(picture[::-1] / np.percentile(picture, 99.5), 1) / 2)) > 38
     browser.state(f"{PLAIN}&photograph=1&split=0.25&exposure=-2")
     darker, border = codes(browser), SHAPE[1] // 4
-    photograph = np.minimum(photographs.pictures[0][::-1] / photographs.white(0), 1)
+    photograph = np.minimum(photographs.pictures[0][::-1] / photographs.whites[0], 1)
     assert np.abs(darker[:, :border] - srgb(photograph[:, :border] / 4)).mean() < 0.01
 
 
