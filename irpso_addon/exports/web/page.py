@@ -187,7 +187,7 @@ def _description(
 
 def _view(model: ReflectanceModel, p: Parameter, uncertainty: tuple[int, str] | None) -> dict[str, Any]:
     title = p.name.replace("_", " ").capitalize()
-    place = [model.offset(p.name), 3 if p.components >= 3 else 1]
+    place = [model.offset(p.name), p.components]
     return {"name": p.name, "title": title, "place": place, "uncertainty": uncertainty}
 
 
