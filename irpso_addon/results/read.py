@@ -11,7 +11,7 @@ from ..capture.images.exr import read_exr
 from ..core.errors import InputError
 from ..core.udim import ONE_SQUARE, PATTERN, tile_files
 from ..reflectance.model import Parameter, ReflectanceModel
-from .map_tables import MapTable, map_tables
+from .map_tables import OTHER_FILES, MapTable, map_tables
 
 _COLOUR_NAMES = ("R", "G", "B", "A")
 _VECTOR_NAMES = ("X", "Y", "Z")
@@ -40,7 +40,8 @@ def _maps_of_file(path: Path, model: ReflectanceModel) -> dict[str, np.ndarray]:
     parts = _parts(path)
     tables = {table.name: table for table in map_tables(model)}
     if len(parts) == 1 and not parts.keys() & tables.keys():
-        named = max((name for name in tables if path.stem.startswith(name)), key=len, default="")
+        # normal_world is no normal: names of other files of a result count as well.
+        named = max((name for name in (*tables, *OTHER_FILES) if path.stem.startswith(name)), key=len, default="")
         parts = {named: next(iter(parts.values()))}
     values: dict[str, np.ndarray] = {}
     for name, table in tables.items():
