@@ -150,7 +150,7 @@ def _uncertainties(maps: Maps) -> tuple[np.ndarray | None, dict[str, tuple[int, 
     for p in maps.model.parameters:
         if maps.confidence is not None and p.name in maps.confidence:
             most = UNKNOWN * p.width
-            entries[p.name] = len(channels), f"{np.degrees(most):.0f}°" if p.is_normal else f"{most:.2g}"
+            entries[p.name] = len(channels), f"{np.degrees(most):.3g}°" if p.is_normal else f"{most:.2g}"
             channels.append(maps.confidence[p.name].max(axis=-1) / most)
     if maps.residual is not None:
         most = default_maximum([100 * maps.residual], maps.solved)

@@ -62,7 +62,7 @@ def confidence_preview(maps: Maps) -> dict[str, np.ndarray]:
         deviation = (maps.confidence or {})[name][..., 0]
         red = UNKNOWN * p.width
         images += [_striped(display_image([p], [maps.values[name]]), unknown), false_color(deviation, red, maps.solved)]
-        reading = f"{np.degrees(red):.0f}°" if p.is_normal else f"{red:.2g}"
+        reading = f"{np.degrees(red):.3g}°" if p.is_normal else f"{red:.2g}"
         labels += [_title(name), f"± one sigma (red: {reading})"]
     if not images:
         return {}

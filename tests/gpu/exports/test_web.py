@@ -123,6 +123,7 @@ def test_maps_and_uncertainties_show_their_numbers(browser, tmp_path):
     assert np.abs(codes(browser) - false_color(confidence["roughness"][::-1, :, 0], most))[where].max() < 0.03
     browser.state(f"{PLAIN}&map=normal&uncertain=1")
     assert np.abs(codes(browser) - false_color(confidence["normal"][::-1, :, 0], np.pi / 8))[where].max() < 0.03
+    assert browser.run("document.getElementById('most').textContent") == "22.5° and more"
     browser.state(f"{PLAIN}&map=residual")
     assert np.abs(codes(browser) - false_color(maps.residual[::-1], 0.05))[where].max() < 0.03
     browser.state(f"{PLAIN}&uncertain=1")
