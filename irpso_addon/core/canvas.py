@@ -1,9 +1,11 @@
-"""Drawing with Pillow: anti-aliased lines, text in Pillow's own font, images, bars."""
+"""Drawing with Pillow: anti-aliased lines, text in Pillow's own font or in Blender's, images, bars."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Sequence
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,6 +23,7 @@ Color = Sequence[float]
 _SCALE = 4  # lines are drawn larger by this and reduced: ImageDraw has no anti-aliasing
 _CAPITAL = 0.70  # height of capitals over font size, of Pillow's font (Aileron)
 _GLYPHS = str.maketrans({"×": "x", "–": "-", "—": "-", "−": "-", "·": ".", "→": "to", "σ": "sigma"})  # not in the font
+_BLENDERS = ("Inter.woff2", "Noto Sans CJK Regular.woff2", "DejaVuSansMono.woff2")  # for letters that it lacks
 
 
 class Canvas:
@@ -78,24 +81,52 @@ class Canvas:
         height: of the capitals, in pixels.
         """
         anchor = {0.0: "ls", 0.5: "ms", 1.0: "rs"}[align]
-        self._draw.text((round(x), round(y)), text.translate(_GLYPHS), _code(color), _font(height), anchor)
+        text, font = _legible(text, height)
+        self._draw.text((round(x), round(y)), text, _code(color), font, anchor)
 
     def text_upward(self, x: float, y: float, text: str, height: float, color: Color = TEXT) -> None:
         """Write a line that reads from bottom to top, centred on y, its baseline at x."""
         from PIL import Image, ImageDraw
 
-        font, line, text = _font(height), round(2 * height), text.translate(_GLYPHS)
+        (text, font), line = _legible(text, height), round(2 * height)
         ink = Image.new("L", (round(font.getlength(text)) + 2, line))
         ImageDraw.Draw(ink).text((1, 1.5 * height), text, 255, font, "ls")
         place = round(x - 1.5 * height), round(y - ink.width / 2)
         self._sheet.paste(_code(color), place, ink.transpose(Image.Transpose.ROTATE_90))
 
 
+def _legible(text: str, height: float) -> tuple[str, FreeTypeFont | ImageFont]:
+    """Return the text and a font that has its letters; where none has them all, letters become codes as \\u771f."""
+    font, spelled = _font(height), text.translate(_GLYPHS)
+    if not (lacking := _lacking(font, spelled)):
+        return spelled, font
+    if bpy := sys.modules.get("bpy"):
+        folder = Path(bpy.utils.system_resource("DATAFILES", path="fonts"))
+        for path in filter(Path.is_file, (folder / name for name in _BLENDERS)):
+            if not _lacking(_font(height, path), text):
+                return text, _font(height, path)
+    for letter in lacking:
+        spelled = spelled.replace(letter, letter.encode("ascii", "backslashreplace").decode("ascii"))
+    return spelled, font
+
+
+def _lacking(font: FreeTypeFont | ImageFont, text: str) -> set[str]:
+    """Return the letters that the font draws as it draws U+FFFF, which is no character."""
+    letters = {letter for letter in text if not letter.isascii()}
+    return {letter for letter in letters if _mask(font, letter) == _mask(font, "\uffff")}
+
+
+def _mask(font: FreeTypeFont | ImageFont, letter: str) -> tuple[tuple[int, int], bytes]:
+    mask = font.getmask(letter)
+    return mask.size, bytes(mask)
+
+
 @cache
-def _font(height: float) -> FreeTypeFont | ImageFont:
+def _font(height: float, path: Path | None = None) -> FreeTypeFont | ImageFont:
     from PIL import ImageFont
 
-    return ImageFont.load_default(height / _CAPITAL)
+    size = height / _CAPITAL
+    return ImageFont.load_default(size) if path is None else ImageFont.truetype(path, size)
 
 
 def _code(color: Color) -> tuple[int, ...]:

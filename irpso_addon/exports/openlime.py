@@ -73,8 +73,8 @@ def write_openlime(result: Result, folder: str | Path, replace: bool = True) -> 
 def _images(surface: Surface, fit: Fit, limits: list[float], maps) -> dict[str, np.ndarray]:
     kd = surface.base_color * (1 - surface.metallic)[..., None]
     if surface.layered:
-        # The base gets only the light that the layer transmits, here at normal incidence.
-        kd = kd * (1 - surface.specular_color)
+        # The base gets only the light that the dielectric transmits, here at normal incidence.
+        kd = kd * (1 - surface.f0[..., None])
     return {
         "kd": pixels.colour(kd, maps),
         "ks": pixels.colour(fit.strength, maps),

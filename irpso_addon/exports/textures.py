@@ -23,6 +23,7 @@ from .result import Result, open_sky_of
 from .surface import F0_HALF, Surface, surface_of, unused_parameters
 
 _SPECULAR_OF_F0 = 0.5 / F0_HALF  # Principled's, Unreal's and Substance's: 0.5 reflects 4 %
+_LEAST = 0.5 / 255  # what a specular level exceeds 1 by, to be too dark in 8 bits
 
 
 @dataclass(frozen=True)
@@ -37,11 +38,12 @@ class _Shape:
 
 @dataclass(frozen=True)
 class _Set(_Shape):
-    """The maps of one tile for a single lobe."""
+    """The maps of one tile for a single lobe. error: (H, W) of the lobe, as in a Fit."""
 
     surface: Surface
     roughness: np.ndarray
     specular: np.ndarray
+    error: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -116,7 +118,7 @@ CONVENTIONS: dict[str, tuple[str, tuple[_Texture, ...]]] = {
 def write_textures(
     result: Result, folder: str | Path, convention: str = "blender", replace: bool = True
 ) -> dict[str, Any]:
-    """Write a set of PNG, UDIM tiles as NAME_BaseColor.1001.png; return their names and the fit's error.
+    """Write a set of PNG, UDIM tiles as NAME_BaseColor.1001.png; return their names, the fit's error and warnings.
 
     convention: "blender", "unreal", "unity" or "substance". Two lobes are replaced by the nearest single GGX lobe. Maps
     that no texture of the set holds, such as a clear coat's, and for an unknown shader all but the normal, are written
@@ -130,18 +132,35 @@ def write_textures(
     names = []
     with filled_folder(folder, replace) as place:
         for index, (number, maps) in enumerate(split_maps(result.maps)):
-            pictures, error = _pictures(result, maps, index, textures)
+            pictures, made = _pictures(result, maps, index, textures)
             for suffix, (image, bits) in pictures.items():
                 names.append(f"{tile_stem(stem + suffix, number, result.maps.tiles)}.png")
                 encode_png(place / names[-1], image, bits=bits)
-            if error is not None:
-                report[tile_stem("one_lobe_error", number, result.maps.tiles)] = plain(quantiles(error))
+            if made is None:
+                continue
+            if len(made.surface.lobes) > 1:
+                error = plain(quantiles(made.error[maps.solved]))
+                report[tile_stem("one_lobe_error", number, result.maps.tiles)] = error
+            if text := _too_dark(made, textures):
+                text = f"{tile_stem(stem, number, result.maps.tiles)}: {text}"
+                report.setdefault("warnings", []).append(text)
     return {"output": str(folder), "files": names, **report}
+
+
+def _too_dark(made: _Set, textures: Iterable[_Texture]) -> str:
+    """Return a warning of the texels whose dielectric reflects more than a set holds, "" for none."""
+    clipped = made.specular[made.maps.solved] > 1 + _LEAST
+    suffix = next((texture.suffix for texture in textures if texture.pixels is _SPECULAR.pixels), "")
+    if not (suffix and clipped.any()):
+        return ""
+    text = f"{suffix} holds a reflectance of at most {1 / _SPECULAR_OF_F0:.0%}"
+    return f"{text}: the highlight of {clipped.mean():.2%} of the texels is too dark"
 
 
 def _pictures(
     result: Result, maps: Maps, index: int, textures: tuple[_Texture, ...]
-) -> tuple[dict[str, tuple[np.ndarray, int]], np.ndarray | None]:
+) -> tuple[dict[str, tuple[np.ndarray, int]], _Set | None]:
+    """Return suffix → pixels and bits of a tile, and the maps of its single lobe, None for an unknown shader."""
     height = None
     if result.height is not None:
         height = tile_part(height_map(result.height).encoded, index, len(result.maps.tiles))
@@ -157,9 +176,8 @@ def _pictures(
         return drawn | _unchanged(maps, {p.name for p in maps.model.parameters} - {normal}), None
     fit = fit_ggx(surface)
     specular = surface.f0 * fit.strength * _SPECULAR_OF_F0
-    drawn = _drawn(textures, _Set(**vars(shape), surface=surface, roughness=np.sqrt(fit.alpha), specular=specular))
-    error = fit.error[maps.solved] if len(surface.lobes) > 1 else None
-    return drawn | _unchanged(maps, unused_parameters(maps.model)), error
+    made = _Set(**vars(shape), surface=surface, roughness=np.sqrt(fit.alpha), specular=specular, error=fit.error)
+    return _drawn(textures, made) | _unchanged(maps, unused_parameters(maps.model)), made
 
 
 def _drawn(textures: Iterable[_Texture], made: _Shape) -> dict[str, tuple[np.ndarray, int]]:

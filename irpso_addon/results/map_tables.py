@@ -87,13 +87,14 @@ def map_values(table: MapTable, maps: Maps) -> np.ndarray:
 def encoded_values(table: MapTable, values: np.ndarray) -> np.ndarray:
     """Return (H, W, 1, 3 or 4) values in 0…1 for a PNG: sRGB, normal encoding, or unchanged values.
 
-    Linear values of a range beyond 0…1 are encoded as a fraction of it, sRGB ones are clipped. Two channels get a
-    third, black one.
+    Linear values of a range beyond 0…1 are encoded as a fraction of it, sRGB ones are clipped. The fourth channel of an
+    sRGB map is unchanged. Two channels get a third, black one.
     """
     if table.is_normal:
         return encode_normal(values)
     if table.color_space == "sRGB":
-        encoded = srgb_from_linear(values)
+        # A file's fourth channel is alpha, to which no reader applies the curve.
+        encoded = np.concatenate([srgb_from_linear(values[..., :3]), values[..., 3:]], axis=-1)
     elif table.fits_unit:
         encoded = values
     else:
@@ -125,7 +126,7 @@ def encoding_text(table: MapTable) -> str:
     if table.is_normal:
         return "0.5 * n + 0.5, OpenGL (Y+)"
     if table.color_space == "sRGB":
-        return "sRGB"
+        return "sRGB, the fourth channel linear" if table.components == 4 else "sRGB"
     if table.fits_unit:
         return "linear"
     ranges = ", ".join(f"{p.name} {p.range[0]:g} to {p.range[1]:g}" for p in table.parameters)

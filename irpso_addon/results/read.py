@@ -11,7 +11,7 @@ from ..capture.images.exr import read_exr
 from ..core.errors import InputError
 from ..core.udim import ONE_SQUARE, PATTERN, tile_files
 from ..reflectance.model import Parameter, ReflectanceModel
-from .map_tables import MapTable, map_tables
+from .map_tables import OTHER_FILES, MapTable, map_tables
 
 _COLOUR_NAMES = ("R", "G", "B", "A")
 _VECTOR_NAMES = ("X", "Y", "Z")
@@ -20,10 +20,11 @@ _VECTOR_NAMES = ("X", "Y", "Z")
 def read_maps(path: str | Path, model: ReflectanceModel, tiles: Sequence[int] = ONE_SQUARE) -> dict[str, np.ndarray]:
     """Return parameter name → (H, W, components) of all maps of a model in an EXR, or in a result's folder.
 
-    A file of several parts has one map per part, by name (our maps.exr); a file of one part has the map that its name
-    begins with, such as ``normal_gt.exr``. tiles: UDIM tiles, side by side from the left; each has its own file, with
-    its number in the name, or <UDIM> in ``path``. Raises InputError if a file has none of the model's maps, is
-    missing, or differs from the others in size or maps.
+    A file of several parts has one map per part, by name (our maps.exr); a file of one part has the map that
+    names its part, else the map of the longest name with which the file's name begins, such as ``normal_gt.exr``.
+    tiles: UDIM tiles, side by side from the left; each has its own file, with its number in the name, or <UDIM> in
+    ``path``. Raises InputError if a file has none of the model's maps, is missing, or differs from the others in size
+    or maps.
     """
     path = Path(path)
     if path.is_dir():
@@ -37,16 +38,17 @@ def read_maps(path: str | Path, model: ReflectanceModel, tiles: Sequence[int] = 
 
 def _maps_of_file(path: Path, model: ReflectanceModel) -> dict[str, np.ndarray]:
     parts = _parts(path)
-    tables = map_tables(model)
+    tables = {table.name: table for table in map_tables(model)}
+    if len(parts) == 1 and not parts.keys() & tables.keys():
+        # normal_world is no normal: names of other files of a result count as well.
+        named = max((name for name in (*tables, *OTHER_FILES) if path.stem.startswith(name)), key=len, default="")
+        parts = {named: next(iter(parts.values()))}
     values: dict[str, np.ndarray] = {}
-    for table in tables:
-        channels = parts.get(table.name)
-        if channels is None and len(parts) == 1 and path.stem.startswith(table.name):
-            channels = next(iter(parts.values()))
-        if channels is not None:
-            values |= _split(table, _stacked(table, channels, path))
+    for name, table in tables.items():
+        if name in parts:
+            values |= _split(table, _stacked(table, parts[name], path))
     if not values:
-        names = ", ".join(table.name for table in tables)
+        names = ", ".join(tables)
         raise InputError(
             f"{path}: holds no map of model {model.name}; name the file or its parts after one of: {names}"
         )

@@ -49,10 +49,14 @@ vec3 shown_parameter(inout float c[MAX_COMPONENTS])
     if (at == NORMAL) {
         return 0.5 * vec3(c[at], c[at + 1], c[at + 2]) + 0.5;
     }
-    if (u_parameter.y == 3) {
-        return srgb_from_linear(vec3(c[at], c[at + 1], c[at + 2]));
+    vec3 shown = vec3(0.0);
+    for (int i = 0; i < min(u_parameter.y, 3); i++) {
+        shown[i] = SRGB[at] ? c[at + i] : (c[at + i] - LOW[at]) / SPAN[at];
     }
-    return vec3((c[at] - LOW[at]) / SPAN[at]);
+    if (u_parameter.y == 1) {
+        shown = shown.rrr;
+    }
+    return SRGB[at] ? srgb_from_linear(shown) : shown;
 }
 
 vec3 ramp(float x)

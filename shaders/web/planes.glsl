@@ -2,7 +2,8 @@
 // 2014, A Survey of Efficient Representations for Independent Unit Vectors), 12 bits each: the upper eight of u in red,
 // those of v in green, the lower four of both in blue; 0 where the texel is outside. Layers from 1: the model's other
 // components, three per layer, as the square root of their fraction of the range. exports/web/planes.py also writes
-// "web/layout.glsl": PLANES, COMPONENTS, NORMAL (its first component), LOW and SPAN of the ranges.
+// "web/layout.glsl": PLANES, COMPONENTS, NORMAL (its first component), LOW and SPAN of the ranges, and SRGB: whether a
+// picture of the component is encoded as sRGB.
 
 #include "common/limits.glsl"
 #include "web/layout.glsl"

@@ -22,6 +22,7 @@ SHAPE = (20, 28)
 RANGES = {
     "lambert": {},
     "principled": {"roughness": (0.3, 0.7), "specular": (0.2, 0.9)},
+    "metallic_roughness": {"roughness": (0.5, 0.7), "specular": (0.5, 0.5), "metallic": (0.1, 0.9)},
     "cook_torrance_two_lobe": {"r1": (0.1, 0.2), "r2": (0.3, 0.5), "w": (0.3, 0.8)},
 }
 

@@ -84,5 +84,5 @@ def near_photographs(maps, count=3):
     lights = np.append(lamps, np.ones((count, 1)), axis=-1)
     return Photographs(
         ("a.jpg", "b.jpg", "c.jpg")[:count], np.arange(count) == 1, lights, intensities, np.array([0.0, 0, 0, 1]),
-        place, pictures,
+        place, pictures, [float(np.percentile(picture, 99.5)) for picture in pictures],
     )  # fmt: skip

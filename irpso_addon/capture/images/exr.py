@@ -117,14 +117,16 @@ def samples_of_exr(
 ) -> Samples:
     """Return the samples of an EXR part; half values at their largest (65504) or infinite count as clipped.
 
-    Alpha becomes the weight. Pixels outside the data window have weight 0. matrix: (3, 3), from the file's RGB to Rec.
-    709, or None if the file holds Rec. 709. srgb: its values have the curve of sRGB.
+    Their lower bound is the largest smaller value of the part, 65504 if none is above 0. Alpha becomes the weight.
+    Pixels outside the data window have weight 0. matrix: (3, 3), from the file's RGB to Rec. 709, or None if the file
+    holds Rec. 709. srgb: its values have the curve of sRGB.
     """
     colour = np.stack([image.channels[name] for name in rgb], axis=-1)
     clipped = np.zeros(colour.shape, bool)
     if colour.dtype == np.float16:
         clipped = colour >= _HALF_MAX
-        colour[clipped] = _HALF_MAX
+        # At 65504 a few such pixels would be white and all else black in every picture and figure.
+        colour[clipped] = colour[np.isfinite(colour) & ~clipped].max(initial=0) or _HALF_MAX
     if srgb:
         colour = linear_from_srgb(colour.astype(np.float32))
     if matrix is not None:

@@ -136,7 +136,7 @@ def _material_levels(maps: Maps) -> Iterable[Level]:
 
 
 def _photograph_levels(photographs: Photographs, k: int) -> Iterable[Level]:
-    radiance = np.nan_to_num(photographs.pictures[k])[::-1] / np.float32(photographs.white(k))
+    radiance = np.nan_to_num(photographs.pictures[k])[::-1] / np.float32(photographs.whites[k])
     return levels(radiance, np.ones(radiance.shape[:2], bool))
 
 
@@ -150,7 +150,7 @@ def _uncertainties(maps: Maps) -> tuple[np.ndarray | None, dict[str, tuple[int, 
     for p in maps.model.parameters:
         if maps.confidence is not None and p.name in maps.confidence:
             most = UNKNOWN * p.width
-            entries[p.name] = len(channels), f"{np.degrees(most):.0f}°" if p.is_normal else f"{most:.2g}"
+            entries[p.name] = len(channels), f"{np.degrees(most):.3g}°" if p.is_normal else f"{most:.2g}"
             channels.append(maps.confidence[p.name].max(axis=-1) / most)
     if maps.residual is not None:
         most = default_maximum([100 * maps.residual], maps.solved)
@@ -187,7 +187,7 @@ def _description(
 
 def _view(model: ReflectanceModel, p: Parameter, uncertainty: tuple[int, str] | None) -> dict[str, Any]:
     title = p.name.replace("_", " ").capitalize()
-    place = [model.offset(p.name), 3 if p.components >= 3 else 1]
+    place = [model.offset(p.name), p.components]
     return {"name": p.name, "title": title, "place": place, "uncertainty": uncertainty}
 
 
@@ -197,7 +197,7 @@ def _light_list(photographs: Photographs | None) -> Sequence[dict[str, Any]]:
     return [
         {
             "name": name, "unseen": bool(photographs.unseen[k]), "light": photographs.lights[k],
-            "intensity": photographs.intensities[k], "white": photographs.white(k),
+            "intensity": photographs.intensities[k], "white": photographs.whites[k],
         }
         for k, name in enumerate(photographs.names)
     ]  # fmt: skip

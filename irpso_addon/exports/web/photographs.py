@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...geometry.domain import Domain, GeometryBake
+from ...solver.views.pictures import display_white
 
 PHOTOGRAPHS = 8  # in a page, by default
-_WHITE = 99.5  # percentile of a photograph: display white
 _MAX_BEND = 0.02  # largest deviation from a plane (lens distortion) without a warning, of the card's width
 
 
@@ -20,7 +20,8 @@ class Photographs:
 
     names: (K). unseen: (K,) bool, those held out of the fit. lights: (K, 4), intensities: (K, 3) and view:
     (4,) as in a Domain. place: (3, 3) rows: position of the upper left corner, the step of one texel to the right,
-    and down. pictures: (K, H, W, 3) linear radiance, row 0 at the bottom. warnings: approximations of the page.
+    and down. pictures: (K, H, W, 3) linear radiance, row 0 at the bottom. whites: (K), the radiance that the page shows
+    as white in a photograph and in its render. warnings: approximations of the page.
     """
 
     names: tuple[str, ...]
@@ -30,20 +31,18 @@ class Photographs:
     view: np.ndarray
     place: np.ndarray
     pictures: Sequence[np.ndarray]
+    whites: Sequence[float]
     warnings: tuple[str, ...] = ()
-
-    def white(self, index: int) -> float:
-        """Return the radiance that the page shows as white in a photograph and in its render."""
-        return max(float(np.percentile(np.nan_to_num(self.pictures[index]), _WHITE)), 1e-6)
 
 
 def photographs_of(domain: Domain, names: Sequence[str], unseen: Collection[int]) -> Photographs:
     """Return the observations of a card's domain. names: of all; unseen: the indices of those held out of the fit."""
     place, bend = _plane(domain.bake.position, domain.bake.coverage)
     warnings = (f"the lens bends the card by {bend:.1%} of its width; the page ignores this bend",)
+    layers = [domain.stack.layer(k) for k in range(domain.observations)]
     return Photographs(
         tuple(names), np.isin(np.arange(len(names)), list(unseen)), domain.lights, domain.intensities,
-        domain.views[0], place, [domain.stack.layer(k)[..., :3] for k in range(domain.observations)],
+        domain.views[0], place, [layer[..., :3] for layer in layers], [display_white(layer) for layer in layers],
         warnings if bend > _MAX_BEND else (),
     )  # fmt: skip
 

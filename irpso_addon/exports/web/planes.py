@@ -57,6 +57,9 @@ def layout(model: ReflectanceModel, colours: int) -> str:
         lines.append(
             f"const float {name}[MAX_COMPONENTS] = float[MAX_COMPONENTS]({', '.join(repr(float(x)) for x in numbers)});"
         )
+    encoded = [str(p.color_space == "sRGB").lower() for p in model.parameters for _ in range(p.components)]
+    padded = ", ".join([*encoded, *["false"] * (MAX_COMPONENTS - count)])
+    lines.append(f"const bool SRGB[MAX_COMPONENTS] = bool[MAX_COMPONENTS]({padded});")
     return "\n".join([*lines, material_declaration(model)])
 
 

@@ -28,7 +28,7 @@ RELIT_LINES = (  # with no, one and both figures
     "Unseen photographs: RMS error {error}, in highlights {highlights}",
 )
 HIGHLIGHT = 1.5  # a highlight exceeds the diffuse reflection by this factor …
-_DARK = 0.02  # … and by this fraction of display white, to exceed noise
+_DARK = 0.02  # … and by this fraction of the photograph's 99.5th percentile, to exceed noise
 _FEW, _SHARE = 10, 1e-3  # texels, and part of the compared ones: fewer highlights are not reported
 
 

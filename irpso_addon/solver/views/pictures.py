@@ -62,7 +62,7 @@ def confidence_preview(maps: Maps) -> dict[str, np.ndarray]:
         deviation = (maps.confidence or {})[name][..., 0]
         red = UNKNOWN * p.width
         images += [_striped(display_image([p], [maps.values[name]]), unknown), false_color(deviation, red, maps.solved)]
-        reading = f"{np.degrees(red):.0f}°" if p.is_normal else f"{red:.2g}"
+        reading = f"{np.degrees(red):.3g}°" if p.is_normal else f"{red:.2g}"
         labels += [_title(name), f"± one sigma (red: {reading})"]
     if not images:
         return {}
@@ -124,11 +124,18 @@ def image_row(domain: Domain, maps: Maps, k: int, label: str, render: np.ndarray
     samples, weight = np.nan_to_num(layer[..., :3]), layer[..., 3] != 0
     # Texels without a usable sample, such as a black background, have no material to render.
     rendered = np.where(maps.solved[..., None], render[..., :3], 0)
-    white = float(np.percentile(samples[weight], SHOWN_WHITE)) if weight.any() else 1.0
-    photograph, render = (srgb_from_linear(np.clip(image / max(white, 1e-6), 0, 1)) for image in (samples, rendered))
+    white = display_white(layer)
+    photograph, render = (srgb_from_linear(np.clip(image / white, 0, 1)) for image in (samples, rendered))
     error = 100 * np.abs(photograph - render).mean(axis=-1)
     photographed = maps.solved if domain.card else maps.solved & (weight | (samples > 0).any(axis=-1))
     return PreviewRow(label, photograph, render, error, "%", photographed, maps.solved & weight)
+
+
+def display_white(layer: np.ndarray) -> float:
+    """Return the radiance shown as white of a photograph's samples (H, W, 4): the 99.5th percentile of those with a
+    weight; 1 without such samples."""
+    counted = layer[layer[..., 3] != 0, :3]
+    return max(float(np.percentile(np.nan_to_num(counted), SHOWN_WHITE)), 1e-6) if counted.size else 1.0
 
 
 def _title(name: str) -> str:

@@ -53,6 +53,16 @@ def test_a_texture_set_holds_each_map_under_the_usual_names(tmp_path):
     np.testing.assert_allclose(shown["Height"][..., 0] * 5 - 2, height.values, atol=1e-4)
 
 
+def test_a_texture_set_says_where_a_dielectric_reflects_more_than_it_holds(tmp_path):
+    made = result_of("principled")
+    glass = replace(made.maps.model, material={"shader": "principled", "settings": {"IOR": 2.4}})
+    too_much = (2 * made.maps.values["specular"] * (1.4 / 3.4) ** 2 > 0.0802).mean()
+    found = textures.write_textures(Result("leaf", replace(made.maps, model=glass)), tmp_path / "glass")
+    text = "_Specular holds a reflectance of at most 8%: the highlight of {:.2%} of the texels is too dark"
+    assert 0.5 < too_much < 1 and found["warnings"] == [f"leaf: {text.format(too_much)}"]
+    assert "warnings" not in textures.write_textures(made, tmp_path / "plain")
+
+
 def test_without_a_relief_and_on_a_mesh_occlusion_is_unknown(tmp_path):
     result = result_of("principled")
     fine = Height(np.linspace(-2, 3, 560, dtype=np.float32).reshape(SHAPE), np.ones(SHAPE, bool), "world")
@@ -146,7 +156,10 @@ def openlime_radiance(folder, light):
     return np.where(length < 0.5, 0, shaded * info["brightness"])
 
 
-@pytest.mark.parametrize(("name", "bound"), [("cook_torrance_two_lobe", 0.06), ("principled", 0.06), ("lambert", 0.02)])
+@pytest.mark.parametrize(
+    ("name", "bound"),
+    [("cook_torrance_two_lobe", 0.06), ("principled", 0.06), ("metallic_roughness", 0.08), ("lambert", 0.02)],
+)
 def test_openlimes_layer_looks_like_the_material(name, bound, tmp_path):
     result = result_of(name)
     found = openlime.write_openlime(result, tmp_path / "layer")

@@ -1,6 +1,7 @@
 """The web page's pixels in Chromium: against float64 oracles, the program's own render and Cycles."""
 
 import re
+from dataclasses import replace
 
 import bpy
 import numpy as np
@@ -12,7 +13,7 @@ from irpso_addon.exports.ptm import even_lights
 from irpso_addon.exports.result import Result
 from irpso_addon.exports.web.page import write_page
 from irpso_addon.geometry.domain import GeometryBake
-from irpso_addon.reflectance.model import shipped_models
+from irpso_addon.reflectance.model import Parameter, shipped_models
 from irpso_addon.results.false_color import false_color
 from irpso_addon.solver.views.forward import Renderer
 from tests.builders.exports import srgb
@@ -92,7 +93,7 @@ def test_a_photograph_stands_beside_the_render_under_its_near_lamp(browser, tmp_
         assert psnr(codes(browser), srgb(np.minimum(picture[::-1] / np.percentile(picture, 99.5), 1) / 2)) > 38
     browser.state(f"{PLAIN}&photograph=1&split=0.25&exposure=-2")
     darker, border = codes(browser), SHAPE[1] // 4
-    photograph = np.minimum(photographs.pictures[0][::-1] / photographs.white(0), 1)
+    photograph = np.minimum(photographs.pictures[0][::-1] / photographs.whites[0], 1)
     assert np.abs(darker[:, :border] - srgb(photograph[:, :border] / 4)).mean() < 0.01
 
 
@@ -122,11 +123,35 @@ def test_maps_and_uncertainties_show_their_numbers(browser, tmp_path):
     assert np.abs(codes(browser) - false_color(confidence["roughness"][::-1, :, 0], most))[where].max() < 0.03
     browser.state(f"{PLAIN}&map=normal&uncertain=1")
     assert np.abs(codes(browser) - false_color(confidence["normal"][::-1, :, 0], np.pi / 8))[where].max() < 0.03
+    assert browser.run("document.getElementById('most').textContent") == "22.5° and more"
     browser.state(f"{PLAIN}&map=residual")
     assert np.abs(codes(browser) - false_color(maps.residual[::-1], 0.05))[where].max() < 0.03
     browser.state(f"{PLAIN}&uncertain=1")
     larger = np.maximum(confidence["roughness"] / most, confidence["normal"] / (np.pi / 8))
     assert np.abs(codes(browser) - false_color(larger[::-1, :, 0], 1))[where].max() < 0.03
+
+
+def test_numbers_of_a_users_model_show_the_colours_of_their_pictures(browser, tmp_path):
+    """Of color_space sRGB the encoded values, else fractions of the range; a missing third channel is black."""
+    lambert = maps_of("lambert")
+    own = (
+        Parameter("tint", 3, (0.0, 2.0), (1.0,) * 3),
+        Parameter("flow", 2, (-1.0, 1.0), (0.0,) * 2),
+        Parameter("gloss", color_space="sRGB"),
+    )
+    rng = np.random.default_rng(4)
+    values = {p.name: rng.uniform(*p.range, (*SHAPE, p.components)) for p in own}
+    model = replace(lambert.model, parameters=(*lambert.model.parameters, *own))
+    opened(browser, tmp_path, replace(lambert, model=model, values={**lambert.values, **values}))
+    black = np.zeros((*SHAPE, 1))
+    wanted = {
+        "tint": values["tint"] / 2,
+        "flow": np.concatenate([(values["flow"] + 1) / 2, black], axis=-1),
+        "gloss": srgb(values["gloss"]),
+    }
+    for name, expected in wanted.items():
+        browser.state(f"{PLAIN}&map={name}")
+        assert np.abs(codes(browser) - expected[::-1]).max() < 0.02, name
 
 
 # --- deep zoom --------------------------------------------------------------------------------------------------------

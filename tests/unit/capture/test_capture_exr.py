@@ -103,8 +103,9 @@ def test_the_largest_half_and_infinity_carry_no_weight_but_the_same_float_does(t
     OpenEXR.File(header, {"Y": bright[::-1].astype(np.float16)}).write(str(tmp_path / "half.exr"))
     found = samples(tmp_path / "half.exr")
     assert found.rgba[..., 3].sum() == GREY.size - 2 and found.clipped.sum() == 2 and not found.not_finite.any()
-    for place in ((0, 0), (2, 2)):  # both are lower bounds, of all three channels
-        assert found.rgba[place].tolist() == [65504, 65504, 65504, 0] and found.bounds[place].tolist()[3] == -7.5
+    largest = float(np.delete(GREY, (0, 2 * 7 + 2)).astype(np.float16).max())
+    for place in ((0, 0), (2, 2)):  # both are lower bounds, of all three channels: as bright as any other pixel
+        assert found.rgba[place].tolist() == [largest] * 3 + [0] and found.bounds[place].tolist()[3] == -7.5
     write_exr(tmp_path / "float.exr", {"": {"Y": bright}})
     assert samples(tmp_path / "float.exr").rgba[0, 0].tolist() == [65504, 65504, 65504, 1]
 
@@ -125,8 +126,14 @@ def test_an_infinite_half_channel_leaves_the_others_as_they_are(tmp_path):
     channels = {name: values.astype(np.float16) for name, values in zip("RGB", (red, GREY, GREY), strict=True)}
     OpenEXR.File(header, channels).write(str(tmp_path / "a.exr"))
     found = samples(tmp_path / "a.exr").bounds
-    assert (found[..., 0] == 65504).all() and (found[..., 3] == -1.5).all()
+    assert (found[..., 0] == GREY.astype(np.float16).max()).all() and (found[..., 3] == -1.5).all()
     np.testing.assert_array_equal(found[..., 1], GREY[::-1].astype(np.float16))
+
+
+def test_a_half_file_of_infinities_alone_is_as_bright_as_half_allows(tmp_path):
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, {"Y": np.full_like(GREY, np.inf, dtype=np.float16)}).write(str(tmp_path / "a.exr"))
+    assert (samples(tmp_path / "a.exr").rgba[..., :3] == 65504).all()
 
 
 def test_the_data_window_is_placed_in_the_display_window(tmp_path):

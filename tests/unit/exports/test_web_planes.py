@@ -149,3 +149,15 @@ def test_a_lens_that_bends_the_card_is_reported():
         np.array([[0, 0, 0, 1]]),
     )
     assert "bends the card" in photographs_of(domain, ["a"], []).warnings[0]
+
+
+def test_white_is_that_of_the_subject_however_small_it_is():
+    rng = np.random.default_rng(5)
+    stack = np.zeros((2, 30, 40, 4), np.float32)
+    stack[:, 4:8, 6:10] = np.concatenate([rng.uniform(0.1, 0.8, (2, 4, 4, 3)), np.ones((2, 4, 4, 1))], axis=-1)
+    stack[0, 4, 6] = [9.0, 9.0, 9.0, 0.0]  # a reflection without weight
+    subject = stack[0, 4:8, 6:10].reshape(16, 4)[1:, :3], stack[1, 4:8, 6:10, :3]
+    flat = bake_at(np.zeros((30, 40, 3)))
+    lights = np.tile([[0.0, 0, 1, 0]], (2, 1))
+    found = photographs_of(domain_of(flat, stack, lights, np.ones((2, 3)), lights), ["a", "b"], [])
+    np.testing.assert_allclose(found.whites, [np.percentile(values, 99.5) for values in subject], rtol=1e-6)

@@ -1,5 +1,8 @@
 """Pictures: where things are drawn, and what colours errors have."""
 
+import itertools
+import sys
+
 import numpy as np
 import pytest
 
@@ -60,6 +63,24 @@ def test_signs_that_the_font_lacks_are_spelled_in_letters():
         canvas.text(4, 20, text, 9)
         canvas.text_upward(150, 20, text[-2:] if text[-1] == "σ" else text[-6:], 9)
     np.testing.assert_array_equal(*(canvas.result() for canvas in sheets))
+
+
+def inked(text):
+    canvas = Canvas(200, 40)
+    canvas.text(4, 20, text, 9)
+    canvas.text_upward(190, 20, text, 9)
+    return canvas.result()
+
+
+@pytest.mark.parametrize(("one", "other"), [("ünï", "ânô"), ("фото", "лето"), ("写真", "風景"), ("भवन", "फोटो")])
+def test_names_outside_ascii_can_be_told_apart(one, other):
+    boxes = inked("\uffff" * len(one))
+    assert not any(np.array_equal(*pair) for pair in itertools.combinations((inked(one), inked(other), boxes), 2))
+
+
+def test_letters_that_no_font_has_are_written_as_their_codes(monkeypatch):
+    monkeypatch.setitem(sys.modules, "bpy", None)
+    np.testing.assert_array_equal(inked("真 ± ×.jpg"), inked("\\u771f ± x.jpg"))
 
 
 def test_a_display_image_encodes_each_kind_of_map():

@@ -123,6 +123,21 @@ def test_png_files_hold_the_encoded_numbers_in_16_bits_top_row_first(maps, tmp_p
         np.testing.assert_allclose(png[maps.solved], values[maps.solved], atol=half_step + 1e-7)
 
 
+def test_the_fourth_channel_of_an_srgb_png_is_linear(maps, tmp_path):
+    """PNG specification, chapter 12 (alpha samples): the transfer curve applies to colour, never to alpha."""
+    tint, gloss = (Parameter(n, count, map="skin", color_space="sRGB") for n, count in (("tint", 3), ("gloss", 1)))
+    values = {"tint": maps.values["tint"], "gloss": maps.values["w"]}
+    model = ReflectanceModel("skin", "Skin", Path("skin.glsl"), (tint, gloss))
+    write_maps(Maps(model, values, maps.solved), tmp_path, {})
+    png = read_png_16(tmp_path / "skin.png")[::-1] / 65535
+    color = values["tint"].astype(np.float64)
+    srgb = np.where(color <= 0.0031308, color * 12.92, 1.055 * color ** (1 / 2.4) - 0.055)
+    expected = np.concatenate([srgb, values["gloss"]], axis=-1)
+    np.testing.assert_allclose(png[maps.solved], expected[maps.solved], atol=0.51 / 65535 + 1e-7)
+    described = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))["maps"]["skin"]
+    assert described["png"] == "sRGB, the fourth channel linear"
+
+
 def test_maps_exr_holds_every_part_and_its_coverage(maps, tmp_path):
     write_maps(maps, tmp_path, {})
     parts = read_exr(tmp_path / "maps.exr")

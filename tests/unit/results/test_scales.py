@@ -63,3 +63,9 @@ def test_numbers_at_ticks_are_short():
     assert [tick_text(v) for v in (0, 0.1 + 0.2, 10.0, 2500.0, 0.002, 1e-6, 3.0)] == [
         "0", "0.3", "10", "2500", "0.002", "1e-6", "3",
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("top", [150_000, 220_000, 1_000_000, 2.2e-5, 4e-9])
+def test_each_tick_shows_its_own_number(top):
+    ticks = linear_ticks(0, top, 6)
+    np.testing.assert_allclose([float(tick_text(tick)) for tick in ticks], ticks, rtol=1e-9)

@@ -1,0 +1,46 @@
+"""Maps read from EXR files of one part, which name their map by the part or by the file."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from irpso_addon.capture.images.exr import write_exr
+from irpso_addon.core.errors import InputError
+from irpso_addon.reflectance.model import Parameter, ReflectanceModel, load_model
+from irpso_addon.results.read import read_maps
+
+MODEL = ReflectanceModel(
+    "coated", "Coated", Path("coated.glsl"),
+    (Parameter("coat", map="coat"), Parameter("coat_roughness", map="coat_roughness")),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("stem", "part", "found"),
+    [
+        ("coat_roughness_truth", "", "coat_roughness"),
+        ("coat_truth", "", "coat"),
+        ("coat_roughness", "coat_roughness", "coat_roughness"),
+        ("coat_roughness_former", "coat", "coat"),
+    ],
+)
+def test_a_file_of_one_part_is_one_map_though_two_names_begin_its_own(stem, part, found, tmp_path):
+    write_exr(tmp_path / f"{stem}.exr", {part: {"Y": np.full((4, 4), 0.3, np.float32)}})
+    values = read_maps(tmp_path / f"{stem}.exr", MODEL)
+    assert set(values) == {found}
+    np.testing.assert_array_equal(values[found], np.full((4, 4, 1), 0.3, np.float32))
+
+
+def test_a_file_of_one_part_that_names_no_map_is_refused(tmp_path):
+    write_exr(tmp_path / "truth.exr", {"": {"Y": np.zeros((4, 4), np.float32)}})
+    with pytest.raises(InputError, match="holds no map of model coated"):
+        read_maps(tmp_path / "truth.exr", MODEL)
+
+
+@pytest.mark.parametrize("space", ["world", "object"])
+def test_normals_of_another_space_are_not_those_of_the_tangent_space(space, tmp_path):
+    turned = {axis: np.full((4, 4), value, np.float32) for axis, value in zip("RGB", (0.6, 0.0, 0.8), strict=True)}
+    write_exr(tmp_path / f"normal_{space}.exr", {f"normal_{space}": turned})
+    with pytest.raises(InputError, match=rf"normal_{space}\.exr: holds no map of model lambert"):
+        read_maps(tmp_path / f"normal_{space}.exr", load_model("lambert"))
