@@ -34,7 +34,7 @@ class Shelf:
         """Return the .blend of an asset. Raises InputError where it exists already, or cannot be written."""
         path = check_output_folder(self.library) / f"{file_stem(name)}.blend"
         if path.exists():
-            raise InputError(f"{path}: the library has this file already; give another --asset-name, or remove it")
+            raise _taken(path)
         return path
 
 
@@ -48,5 +48,12 @@ def write_to_shelf(shelf: Shelf, obj: Any, name: str, slots: Sequence[int] = ())
     path.parent.mkdir(parents=True, exist_ok=True)
     catalog = catalog_id(path.parent, shelf.catalog) if shelf.catalog else ""
     about = About(shelf.author, shelf.license, _DESCRIPTION, (*shelf.tags, _TAG))
-    write_asset(path, obj, recovered_slot(obj, slots), name, about, catalog)
+    try:
+        write_asset(path, obj, recovered_slot(obj, slots), name, about, catalog)
+    except FileExistsError as error:  # another process has written it meanwhile
+        raise _taken(path) from error
     return path
+
+
+def _taken(path: Path) -> InputError:
+    return InputError(f"{path}: the library has this file already; give another --asset-name, or remove it")

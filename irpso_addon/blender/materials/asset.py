@@ -46,8 +46,8 @@ def recovered_slot(obj: Any, slots: Sequence[int] = ()) -> Any:
 def write_asset(path: Path, obj: Any, material: Any, name: str, about: About, catalog: str) -> None:
     """Write a material of an object into a .blend, as an asset with its maps packed; whole or not at all.
 
-    The open file stays as it is. catalog: UUID, "" for none. Raises InputError where ``path`` cannot be written, or an
-    image has unsaved changes or no file.
+    The open file stays as it is. catalog: UUID, "" for none. Raises FileExistsError where ``path`` exists; InputError
+    where it cannot be written, or an image has unsaved changes or no file.
     """
     import bpy
 
@@ -72,7 +72,7 @@ def write_asset(path: Path, obj: Any, material: Any, name: str, about: About, ca
         shown.image_size = (_SIDE, _SIDE)
         shown.image_pixels_float.foreach_set(picture.astype(np.float32).ravel())
         try:
-            with replacing_file(path, durable=True) as partial, quiet_operator():
+            with replacing_file(path, durable=True, new=True) as partial, quiet_operator():
                 bpy.data.libraries.write(str(partial), {copy}, fake_user=True, compress=True)
         except RuntimeError as error:
             raise InputError(f"{path}: cannot be saved ({str(error).strip()}); choose another library") from error

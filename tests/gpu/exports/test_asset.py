@@ -6,6 +6,7 @@ import bpy
 import numpy as np
 import pytest
 
+from irpso_addon.blender.materials import asset
 from irpso_addon.blender.materials.asset import recovered_slot
 from irpso_addon.blender.materials.material import TAG, apply_material, build_material, card_object
 from irpso_addon.blender.materials.pictures import icon
@@ -165,6 +166,20 @@ def test_what_the_library_has_already_is_refused_and_kept(card, tmp_path):
     with pytest.raises(InputError, match=r"leaf\.blend: the library has this file already; give another --asset-name"):
         write_to_shelf(Shelf(tmp_path), card, "leaf")
     assert path.read_bytes() == kept
+
+
+def test_an_asset_that_another_process_writes_meanwhile_is_refused_and_kept(card, tmp_path, monkeypatch):
+    before = counts()
+
+    def slow(*words):
+        (tmp_path / "leaf.blend").write_bytes(b"theirs")
+        return icon(*words)
+
+    monkeypatch.setattr(asset, "icon", slow)
+    with pytest.raises(InputError, match=r"leaf\.blend: the library has this file already; give another --asset-name"):
+        write_to_shelf(Shelf(tmp_path), card, "leaf")
+    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("leaf.blend", b"theirs")]
+    assert counts() == before
 
 
 def test_the_material_of_the_active_slot_is_saved_if_it_was_recovered(card):
