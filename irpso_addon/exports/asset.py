@@ -47,7 +47,8 @@ def write_to_shelf(shelf: Shelf, obj: Any, name: str, slots: Sequence[int] = ())
     path = shelf.path(name)
     path.parent.mkdir(parents=True, exist_ok=True)
     catalog = catalog_id(path.parent, shelf.catalog) if shelf.catalog else ""
-    about = About(shelf.author, shelf.license, _DESCRIPTION, (*shelf.tags, _TAG))
+    tags = (word for tag in (*shelf.tags, _TAG) if (word := tag.strip()))  # an empty tag ends Blender 5.0 at once
+    about = About(shelf.author, shelf.license, _DESCRIPTION, tuple(tags))
     try:
         write_asset(path, obj, recovered_slot(obj, slots), name, about, catalog)
     except FileExistsError as error:  # another process has written it meanwhile

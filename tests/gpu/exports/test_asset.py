@@ -86,6 +86,12 @@ def test_the_library_has_the_material_with_maps_preview_and_words_and_the_open_f
     assert linear[1] / linear[0] == pytest.approx(RED[1] / RED[0], abs=0.03)
 
 
+def test_empty_tags_are_left_out(card, tmp_path, monkeypatch):
+    monkeypatch.setattr(asset, "icon", lambda obj, side: np.zeros((side, side, 4)))
+    path = write_to_shelf(Shelf(tmp_path, tags=("", " red ", " ")), card, "leaf")
+    assert {tag.name for tag in loaded(path).asset_data.tags} == {"red", "photographed"}
+
+
 def test_an_object_that_others_move_is_in_the_picture_and_keeps_its_place(card, tmp_path):
     anchor = bpy.data.objects.new("anchor", None)
     bpy.context.collection.objects.link(anchor)
