@@ -14,7 +14,7 @@ from irpso_addon.blender.materials.result_blend import save_blend
 from irpso_addon.core.errors import InputError
 from irpso_addon.exports import turntable
 from irpso_addon.exports.asset import Shelf, write_to_shelf
-from irpso_addon.exports.catalog import CATALOGS, catalog_id
+from irpso_addon.exports.catalog import CATALOGS
 from irpso_addon.exports.result import read_result, slots_of_result
 from irpso_addon.exports.turntable import write_turntable
 from irpso_addon.reflectance.model import load_model
@@ -146,24 +146,6 @@ def test_an_image_whose_file_is_gone_is_named_and_the_others_stay_files(tmp_path
         write_to_shelf(Shelf(tmp_path / "library"), obj, "leaf")
     assert counts() == before and not any(image.packed_files for image in bpy.data.images)
     assert not list((tmp_path / "library").glob("*"))
-
-
-def test_a_catalog_files_line_ends_stay(tmp_path):
-    theirs = b"VERSION 1\r\n\r\n11111111-2222-3333-4444-555555555555:Stone/Marble:Stone-Marble\r\n"
-    (tmp_path / CATALOGS).write_bytes(theirs)
-    made = catalog_id(tmp_path, "Leaves")
-    assert (tmp_path / CATALOGS).read_bytes() == theirs + f"{made}:Leaves:Leaves\r\n".encode()
-
-
-def test_a_catalog_is_made_once_and_others_stay(tmp_path):
-    theirs = "# mine\nVERSION 1\n\n11111111-2222-3333-4444-555555555555:Stone/Marble:marble"
-    (tmp_path / CATALOGS).write_text(theirs)
-    assert catalog_id(tmp_path, "Stone/ Marble") == "11111111-2222-3333-4444-555555555555"
-    made = catalog_id(tmp_path, "Stone")
-    assert catalog_id(tmp_path, "Stone") == made and (tmp_path / CATALOGS).read_text().startswith(theirs + "\n")
-    for wrong in ("", "a//b", "a:b", "/a"):
-        with pytest.raises(InputError, match="single slashes"):
-            catalog_id(tmp_path, wrong)
 
 
 def test_what_the_library_has_already_is_refused_and_kept(card, tmp_path):
