@@ -27,11 +27,15 @@ class Shelf:
     tags: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        words = ("catalog", self.catalog), ("author", self.author), ("license", self.license)
+        for option, word in (*words, *(("tag", tag) for tag in self.tags)):
+            _check_utf8(option, word)
         if self.catalog:
             catalog_path(self.catalog)
 
     def path(self, name: str) -> Path:
         """Return the .blend of an asset. Raises InputError where it exists already, or cannot be written."""
+        _check_utf8("asset-name", name)
         path = check_output_folder(self.library) / f"{file_stem(name)}.blend"
         if path.exists():
             raise _taken(path)
@@ -54,6 +58,14 @@ def write_to_shelf(shelf: Shelf, obj: Any, name: str, slots: Sequence[int] = ())
     except FileExistsError as error:  # another process has written it meanwhile
         raise _taken(path) from error
     return path
+
+
+def _check_utf8(option: str, word: str) -> None:
+    """Raise InputError for bytes that are not UTF-8, which Python has as surrogates and Blender refuses."""
+    try:
+        word.encode()
+    except UnicodeEncodeError as error:
+        raise InputError(f"--{option}: {ascii(word)} is not UTF-8; give another one") from error
 
 
 def _taken(path: Path) -> InputError:

@@ -92,6 +92,16 @@ def test_empty_tags_are_left_out(card, tmp_path, monkeypatch):
     assert {tag.name for tag in loaded(path).asset_data.tags} == {"red", "photographed"}
 
 
+def test_words_that_are_not_utf8_are_refused_before_anything_is_written(tmp_path):
+    latin = b"caf\xe9".decode("utf-8", "surrogateescape")  # as Python has bytes of a command line (PEP 383)
+    for option, words in [("catalog", {"catalog": latin}), ("author", {"author": latin}),
+                          ("license", {"license": latin}), ("tag", {"tags": ("red", latin)})]:  # fmt: skip
+        with pytest.raises(InputError, match=rf"--{option}: 'caf\\udce9' is not UTF-8; give another one"):
+            Shelf(tmp_path, **words)
+    with pytest.raises(InputError, match=r"--asset-name: 'caf\\udce9' is not UTF-8; give another one"):
+        Shelf(tmp_path).path(latin)
+
+
 def test_an_object_that_others_move_is_in_the_picture_and_keeps_its_place(card, tmp_path):
     anchor = bpy.data.objects.new("anchor", None)
     bpy.context.collection.objects.link(anchor)
