@@ -10,7 +10,7 @@ from typing import Any
 from ..blender.materials.asset import About, recovered_slot, write_asset
 from ..core.errors import InputError
 from ..results.write import check_output_folder
-from .catalog import catalog_id, catalog_path
+from .catalog import catalog_id, catalog_path, catalogs_text
 from .place import file_stem
 
 _DESCRIPTION, _TAG = "Recovered from photographs by IRPSO", "photographed"
@@ -34,11 +34,13 @@ class Shelf:
             catalog_path(self.catalog)
 
     def path(self, name: str) -> Path:
-        """Return the .blend of an asset. Raises InputError where it exists already, or cannot be written."""
+        """Return the .blend of an asset. Raises InputError where it exists, or it or its catalog cannot be written."""
         _check_utf8("asset-name", name)
         path = check_output_folder(self.library) / f"{file_stem(name)}.blend"
         if path.exists():
             raise _taken(path)
+        if self.catalog:
+            catalogs_text(path.parent)
         return path
 
 

@@ -43,11 +43,17 @@ def catalog_id(library: Path, name: str) -> str:
         return _found_or_added(path, catalog)
 
 
-def _found_or_added(path: Path, catalog: str) -> str:
+def catalogs_text(library: Path) -> str:
+    """Return the text of a library's catalog file, with its own line ends, or a new one's. Raises InputError."""
+    path = library / CATALOGS
     try:
-        text = path.read_bytes().decode() if path.is_file() else _HEAD  # with its own line ends
+        return path.read_bytes().decode() if path.is_file() else _HEAD
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read ({error}); repair it, or leave out the catalog") from error
+
+
+def _found_or_added(path: Path, catalog: str) -> str:
+    text = catalogs_text(path.parent)
     for line in text.splitlines():
         number, _, rest = line.partition(":")
         if not line.startswith("#") and rest.partition(":")[0].strip() == catalog:

@@ -102,6 +102,13 @@ def test_words_that_are_not_utf8_are_refused_before_anything_is_written(tmp_path
         Shelf(tmp_path).path(latin)
 
 
+def test_a_catalog_file_that_is_damaged_is_refused_beforehand(tmp_path):
+    (tmp_path / CATALOGS).write_bytes(b"\xff")
+    assert Shelf(tmp_path).path("leaf") == tmp_path / "leaf.blend"
+    with pytest.raises(InputError, match=f"{CATALOGS}: cannot be read"):
+        Shelf(tmp_path, "Leaves").path("leaf")
+
+
 def test_an_object_that_others_move_is_in_the_picture_and_keeps_its_place(card, tmp_path):
     anchor = bpy.data.objects.new("anchor", None)
     bpy.context.collection.objects.link(anchor)
