@@ -16,6 +16,7 @@ from ..operators import quiet_operator
 from .material import TAG
 from .nodes import images_of
 from .pictures import icon
+from .textures import check_saved
 
 _SIDE = 256  # pixels of a preview, as Blender's own have
 
@@ -57,8 +58,7 @@ def write_asset(path: Path, obj: Any, material: Any, name: str, about: About, ca
             f"{linked.id_type.lower()} '{linked.name}' is linked from {linked.library.filepath}, so the asset would"
             " lack maps; make the material local first (Object › Relations › Make Local › All)"
         )
-    if dirty := next((image for image in images if image.is_dirty), None):  # the asset would lack what was painted
-        raise InputError(f"image '{dirty.name}' has unsaved changes; save it in the Image Editor (Image › Save) first")
+    check_saved(images)
     picture = icon(obj, _SIDE)
     with _copy_named(material, name) as copy, _packed(images):
         copy.asset_mark()
