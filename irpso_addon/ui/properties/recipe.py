@@ -12,7 +12,7 @@ from ...core.errors import InputError
 from ...solver.settings.renamed import current_settings
 from ...solver.settings.schedule import SETTINGS
 from ..common.file_paths import absolute
-from .scene_settings import CUSTOM
+from .model_items import CUSTOM
 
 _TYPES = {"BOOLEAN", "INT", "FLOAT", "STRING", "ENUM"}  # types of properties that are numbers, texts or choices
 _LEFT_OUT = {"name", "checked_path", "paths_base", "summary", "slots", "slot_list"}
