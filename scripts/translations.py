@@ -32,7 +32,7 @@ _OBSERVATIONS = 96  # enough for all phases of a schedule
 _MARKED = {"iface", "rpt", "tip", "n_"}  # functions of ui/common/words.py
 _DRAWN = {"text", "heading"}  # arguments that Blender translates
 _PLACED = {"fact": (2, 3), "wrapped": (None, 2), "usable": (2, None), "report": (None, 1), "text": (None, 0),
-           "chip": (None, 0)}  # see _of_call  # fmt: skip
+           "chip": (None, 0), "status_text_set": (None, 0)}  # see _of_call  # fmt: skip
 
 
 def words() -> list[str]:

@@ -29,17 +29,16 @@ from ..results.write import REPORT, check_output_folder
 from ..solver.state.checkpoint import check_replaceable
 from . import recover
 from .options.origin import foreign_path, has_same_others, is_same_origin, name_of, origin_of
-from .options.values import numbers_of_text, silent
+from .options.values import OF_ASSETS, numbers_of_text, silent
 
 _PATHS = ("capture", "blend", "ground_truth", "asset")  # keys whose values are relative to the list
 _NAMES_OR_PATHS = ("model", "preset")
 _REPEATED = ("set", "fixed", "occluder", "tag")  # options that a list repeats; it is one value of any other
 _SWITCHED_OFF = ("preview", "shadows")  # keys whose false is an option, --no-…
 _BATCH_OPTIONS = ("output", "resume", "json", "quiet", "help", "dry_run")
-# Defaults that do not apply to cards, or to meshes.
+# Defaults that do not apply to cards, or to meshes; OF_ASSETS apply to jobs with an asset.
 _OF_MESHES = ("resolution", "object", "slots", "occluder", "shadows", "no_shadows")
 _OF_CARDS = ("distance", "crop", "corners", "card_width")
-_OF_ASSETS = ("asset_name", "catalog", "author", "license", "tag")  # defaults that apply to jobs with an asset
 _RIG = "rig"  # the word before a rig, at the end of a job's words
 _SUMMARY = "batch.json"  # of all jobs, in the output folder
 _AGAIN = "start the batch again to continue"
@@ -185,7 +184,7 @@ def _with_defaults(row: dict[str, Any], defaults: dict[str, Any]) -> dict[str, A
         defaults = {key: value for key, value in defaults.items() if key != "no_shadows"}
     merged = {**defaults, **row}
     card = not merged.get("blend") and not str(merged.get("capture", "")).lower().endswith(".blend")
-    others = (*(_OF_MESHES if card else _OF_CARDS), *(() if merged.get("asset") else _OF_ASSETS))
+    others = (*(_OF_MESHES if card else _OF_CARDS), *(() if merged.get("asset") else OF_ASSETS))
     return {key: value for key, value in merged.items() if key not in others or key in row}
 
 

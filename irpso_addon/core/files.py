@@ -23,10 +23,11 @@ _unfinished: set[Path] = set()  # folders that are being filled
 
 
 @contextmanager
-def replacing_file(path: Path, durable: bool = False) -> Iterator[Path]:
+def replacing_file(path: Path, durable: bool = False, new: bool = False) -> Iterator[Path]:
     """Yield a temporary path beside ``path``, moved onto it at the end, or deleted after an exception.
 
-    durable: flush it to the disk. Raises InputError if the folder cannot be written.
+    durable: flush it to the disk. new: raise FileExistsError, at the end, if ``path`` exists by then; of processes that
+    write it at once, on whatever machines, one succeeds. Raises InputError if the folder cannot be written.
     """
     partial = path.with_name(f"{_partial_prefix(path)}{os.getpid()}{path.suffix}")
     try:
@@ -34,10 +35,14 @@ def replacing_file(path: Path, durable: bool = False) -> Iterator[Path]:
         yield partial
         if durable:
             synced(partial)
+        if new:  # an empty file holds the name: not every file system has hard links
+            os.close(os.open(path, os.O_CREAT | os.O_EXCL))
         os.replace(partial, path)
         if durable:
             synced(path.parent)
     except OSError as error:
+        if new and isinstance(error, FileExistsError):
+            raise
         raise InputError(f"{path}: cannot be written ({error.strerror or error}); choose another place") from error
     finally:
         if partial.exists():

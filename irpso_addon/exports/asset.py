@@ -10,7 +10,7 @@ from typing import Any
 from ..blender.materials.asset import About, recovered_slot, write_asset
 from ..core.errors import InputError
 from ..results.write import check_output_folder
-from .catalog import catalog_id, catalog_path
+from .catalog import catalog_id, catalog_path, catalogs_text
 from .place import file_stem
 
 _DESCRIPTION, _TAG = "Recovered from photographs by IRPSO", "photographed"
@@ -27,14 +27,20 @@ class Shelf:
     tags: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        words = ("catalog", self.catalog), ("author", self.author), ("license", self.license)
+        for option, word in (*words, *(("tag", tag) for tag in self.tags)):
+            _check_utf8(option, word)
         if self.catalog:
             catalog_path(self.catalog)
 
     def path(self, name: str) -> Path:
-        """Return the .blend of an asset. Raises InputError where it exists already, or cannot be written."""
+        """Return the .blend of an asset. Raises InputError where it exists, or it or its catalog cannot be written."""
+        _check_utf8("asset-name", name)
         path = check_output_folder(self.library) / f"{file_stem(name)}.blend"
         if path.exists():
-            raise InputError(f"{path}: the library has this file already; give another --asset-name, or remove it")
+            raise _taken(path)
+        if self.catalog:
+            catalogs_text(path.parent)
         return path
 
 
@@ -47,6 +53,22 @@ def write_to_shelf(shelf: Shelf, obj: Any, name: str, slots: Sequence[int] = ())
     path = shelf.path(name)
     path.parent.mkdir(parents=True, exist_ok=True)
     catalog = catalog_id(path.parent, shelf.catalog) if shelf.catalog else ""
-    about = About(shelf.author, shelf.license, _DESCRIPTION, (*shelf.tags, _TAG))
-    write_asset(path, obj, recovered_slot(obj, slots), name, about, catalog)
+    tags = (word for tag in (*shelf.tags, _TAG) if (word := tag.strip()))  # an empty tag ends Blender 5.0 at once
+    about = About(shelf.author, shelf.license, _DESCRIPTION, tuple(tags))
+    try:
+        write_asset(path, obj, recovered_slot(obj, slots), name, about, catalog)
+    except FileExistsError as error:  # another process has written it meanwhile
+        raise _taken(path) from error
     return path
+
+
+def _check_utf8(option: str, word: str) -> None:
+    """Raise InputError for bytes that are not UTF-8, which Python has as surrogates and Blender refuses."""
+    try:
+        word.encode()
+    except UnicodeEncodeError as error:
+        raise InputError(f"--{option}: {ascii(word)} is not UTF-8; give another one") from error
+
+
+def _taken(path: Path) -> InputError:
+    return InputError(f"{path}: the library has this file already; give another --asset-name, or remove it")

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import time
 import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ..core.errors import InputError
 from ..core.files import replacing_file
 
 CATALOGS = "blender_assets.cats.txt"
+_WAIT = 10.0  # seconds; the file is changed in milliseconds, so that whoever holds it longer was killed
 _HEAD = """\
 # This is an Asset Catalog Definition file for Blender.
 #
@@ -34,10 +39,21 @@ def catalog_id(library: Path, name: str) -> str:
     Other lines of the file stay unchanged. Raises InputError where it cannot be read or written.
     """
     path, catalog = library / CATALOGS, catalog_path(name)
+    with _held(path):
+        return _found_or_added(path, catalog)
+
+
+def catalogs_text(library: Path) -> str:
+    """Return the text of a library's catalog file, with its own line ends, or a new one's. Raises InputError."""
+    path = library / CATALOGS
     try:
-        text = path.read_bytes().decode() if path.is_file() else _HEAD  # with its own line ends
+        return path.read_bytes().decode() if path.is_file() else _HEAD
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read ({error}); repair it, or leave out the catalog") from error
+
+
+def _found_or_added(path: Path, catalog: str) -> str:
+    text = catalogs_text(path.parent)
     for line in text.splitlines():
         number, _, rest = line.partition(":")
         if not line.startswith("#") and rest.partition(":")[0].strip() == catalog:
@@ -48,3 +64,31 @@ def catalog_id(library: Path, name: str) -> str:
     with replacing_file(path, durable=True) as partial:
         partial.write_bytes((text + ("" if text.endswith("\n") else end) + line).encode())
     return added
+
+
+@contextmanager
+def _held(path: Path) -> Iterator[None]:
+    """Keep other processes, of any machine, from changing a file; wait while one of them changes it.
+
+    A file beside ``path`` says so. Where it stays the same for 10 s its process was killed, and it is removed. Raises
+    InputError if the folder cannot be written.
+    """
+    sign, seen, since = path.with_name(f".{path.name}.lock"), None, time.monotonic()
+    while True:
+        try:
+            os.close(os.open(sign, os.O_CREAT | os.O_EXCL))
+            break
+        except OSError as error:  # on Windows a file that is being removed is a PermissionError
+            with suppress(OSError):
+                found = (sign.stat().st_ino, sign.stat().st_mtime_ns)
+                seen, since = (seen, since) if found == seen else (found, time.monotonic())
+            if time.monotonic() - since > _WAIT:
+                if seen is None:
+                    raise InputError(f"{path}: cannot be written ({error.strerror}); choose another library") from error
+                sign.unlink(missing_ok=True)
+        time.sleep(0.01)
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            sign.unlink()

@@ -147,19 +147,19 @@ class Run:
 
     def relight_steps(self, maps: Maps) -> Generator[None, None, None]:
         """Render the held-out observations from the last ``maps``, yielding often."""
-        domain, evaluations = present(self.domain), present(self.progress).evaluations
+        domain, progress = present(self.domain), present(self.progress)
         held_out = self.job.held_out_indices
         if self.recovery is not None and held_out:
             self._held_out_indirect = yield from self.recovery.indirect_in(subset(domain, held_out, domain.solvable))
         names = distinct_names([shot.name for shot in self.job.capture.observations], self.job.listed_numbers)
         steps = relit_steps(domain, maps, held_out, names, self._elsewhere, self.indirect)
-        self._relit = evaluations, *(yield from steps)
+        self._relit = progress, *(yield from steps)
 
     @property
     def is_relit(self) -> bool:
         """Whether ``relit`` is up to date, or nothing is held out."""
         progress = self.recovery.progress if self.recovery is not None else self.progress
-        return not self.job.held_out or (progress is not None and self._relit[0] == progress.evaluations)
+        return not self.job.held_out or (progress is not None and self._relit[0] == progress)
 
     @property
     def relit(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
@@ -168,7 +168,7 @@ class Run:
 
     def relight(self, maps: Maps) -> None:
         """Do ``relight_steps`` at once, if ``relit`` is older than the last maps."""
-        if self.job.held_out and self._relit[0] != present(self.progress).evaluations:
+        if self.job.held_out and self._relit[0] != self.progress:
             run_steps(self.relight_steps(maps))
 
     def change(self, schedule: Schedule) -> None:

@@ -16,6 +16,7 @@ from ..operators import quiet_operator
 from .material import TAG
 from .nodes import images_of
 from .pictures import icon
+from .textures import check_saved
 
 _SIDE = 256  # pixels of a preview, as Blender's own have
 
@@ -46,8 +47,8 @@ def recovered_slot(obj: Any, slots: Sequence[int] = ()) -> Any:
 def write_asset(path: Path, obj: Any, material: Any, name: str, about: About, catalog: str) -> None:
     """Write a material of an object into a .blend, as an asset with its maps packed; whole or not at all.
 
-    The open file stays as it is. catalog: UUID, "" for none. Raises InputError where ``path`` cannot be written, or an
-    image has unsaved changes or no file.
+    The open file stays as it is. catalog: UUID, "" for none. Raises FileExistsError where ``path`` exists; InputError
+    where it cannot be written, or an image has unsaved changes or no file.
     """
     import bpy
 
@@ -57,8 +58,7 @@ def write_asset(path: Path, obj: Any, material: Any, name: str, about: About, ca
             f"{linked.id_type.lower()} '{linked.name}' is linked from {linked.library.filepath}, so the asset would"
             " lack maps; make the material local first (Object › Relations › Make Local › All)"
         )
-    if dirty := next((image for image in images if image.is_dirty), None):  # the asset would lack what was painted
-        raise InputError(f"image '{dirty.name}' has unsaved changes; save it in the Image Editor (Image › Save) first")
+    check_saved(images)
     picture = icon(obj, _SIDE)
     with _copy_named(material, name) as copy, _packed(images):
         copy.asset_mark()
@@ -72,7 +72,7 @@ def write_asset(path: Path, obj: Any, material: Any, name: str, about: About, ca
         shown.image_size = (_SIDE, _SIDE)
         shown.image_pixels_float.foreach_set(picture.astype(np.float32).ravel())
         try:
-            with replacing_file(path, durable=True) as partial, quiet_operator():
+            with replacing_file(path, durable=True, new=True) as partial, quiet_operator():
                 bpy.data.libraries.write(str(partial), {copy}, fake_user=True, compress=True)
         except RuntimeError as error:
             raise InputError(f"{path}: cannot be saved ({str(error).strip()}); choose another library") from error

@@ -8,14 +8,10 @@ within a few thousandths of its height and does not count the connected normal m
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from ...geometry.relief.height import Height
-from ...results.maps import Maps
 from .nodes import OwnNodes
-from .textures import data_image
 
 METHOD = "BOTH"
 DIVISION = "IRPSO Relief"  # the modifier of a card
@@ -23,20 +19,8 @@ _FINEST, _SHOWN = 8, 6  # most halvings of a card's side: in renders, in the vie
 _PLACES = {"uv": (-1080, -1300), "map height": (-860, -1300), "displacement": (280, -620)}
 
 
-def displacement(
-    nodes: OwnNodes,
-    maps: Maps,
-    height: Height,
-    subject: str,
-    folder: Path | None,
-    uv_map: str,
-    former: Mapping[str, Any],
-) -> Any:
-    """Make image and Displacement node; return its output. A card is one unit wide at any resolution.
-
-    former: images by tag, from ``own_images``.
-    """
-    image = data_image(maps, "height", height.values[..., None], subject, folder, former)
+def displacement(nodes: OwnNodes, height: Height, image: Any, uv_map: str) -> Any:
+    """Make the nodes of a relief's image; return the Displacement node's output. A card is 1 unit wide at any size."""
     # With repetition the border of a card would take half of its height from the opposite side.
     texture = nodes.node(
         "map height", "ShaderNodeTexImage", _PLACES["map height"], "Height", image=image, extension="EXTEND"

@@ -21,7 +21,7 @@ from .anisotropy_nodes import connect_grain
 from .displacement import METHOD, displacement, divide
 from .look import ROUGHNESS, look_node
 from .nodes import OwnNodes, set_input
-from .textures import check_images, map_images, material_images, own_blocks, own_images
+from .textures import check_images, check_saved, map_images, material_images, own_blocks, own_images, written_pictures
 
 TAG = "irpso_subject"
 ORIGIN = "irpso_origin"  # source of a material
@@ -49,7 +49,8 @@ def build_material(
     the original name; the others are the user's copies and stay, with their images.
     The model's [material] chooses the ``shader``: "two_lobe", or "principled": image nodes drive the sockets of a
     Principled BSDF that the parameters name. Nodes of the user stay unchanged.
-    Raises InputError where the material or an image is linked from a library, or the folder cannot be written.
+    Raises InputError where the material or an image is linked from a library, an image has unsaved changes, or the
+    folder cannot be written; then a former material stays as it is.
     """
     import bpy
 
@@ -60,19 +61,22 @@ def build_material(
     material = former or new_material(f"IRPSO {subject}")
     material[TAG] = subject
     build = _two_lobe if maps.model.material.get("shader") == "two_lobe" else _principled
+    folder = None if images_folder is None else Path(bpy.path.abspath(str(images_folder))).absolute()
     try:
         check_images(maps.model, subject)
         known = own_images(subject, material, [one for one in materials if one != material])
-        with OwnNodes(material.node_tree) as nodes:
+        check_saved(known.values())
+        # All files first: where one cannot be written, the former material and its images stay as they are.
+        heights = None if height is None else height.values
+        with written_pictures(maps, subject, folder, heights) as pictures, OwnNodes(material.node_tree) as nodes:
             surface, sockets = build(nodes, maps.model, uv_map)
-            folder = None if images_folder is None else Path(bpy.path.abspath(str(images_folder))).absolute()
-            images = material_images(maps, subject, folder, known)
+            images = material_images(pictures, subject, folder is None, known)
             sources = _map_nodes(nodes, tables, images, uv_map, maps.wrapped)
             _connect(nodes, maps.model, sources, sockets)
             output = nodes.node("output", "ShaderNodeOutputMaterial", (620, 0))
             nodes.link(surface, output.inputs["Surface"])
             if height is not None:
-                relief = displacement(nodes, maps, height, subject, folder, uv_map, known)
+                relief = displacement(nodes, height, images["height"], uv_map)
                 nodes.link(relief, output.inputs["Displacement"])
                 material.displacement_method = METHOD
             if str(images_folder).startswith("//"):

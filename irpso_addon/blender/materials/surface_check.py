@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -20,7 +22,8 @@ def check_surface(obj: Any, mesh: MeshData, subject: str) -> None:
     """Raise InputError where an object has other slots than when its mesh was read, or lacks the maps' UV map.
 
     Materials tell whether slots have moved: one that lies elsewhere now, unless the material of ``subject``, the maps'
-    own, is in its place. A last slot that no face had may be gone.
+    own, is in its place. Slots without materials, or of one material, have moved where none of their faces is in them
+    any more. A last slot that no face had may be gone.
     """
     import bpy
 
@@ -35,6 +38,11 @@ def check_surface(obj: Any, mesh: MeshData, subject: str) -> None:
         raise InputError(
             f"the material slots of '{obj.name}' were {listed(before)} when its recovery began, and are"
             f" {listed(now) or 'none'} now; restore their order, or recover again"
+        )
+    if (left := _left_slot(obj, mesh)) is not None:
+        raise InputError(
+            f"all faces of material slot {left} of '{obj.name}' have another slot since its recovery began; restore the"
+            " slots' order, or recover again"
         )
     evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
     layers = {layer.name for data in (obj.data, evaluated.data) for layer in data.uv_layers}
@@ -66,17 +74,38 @@ def uv_warnings(obj: Any, mesh: MeshData) -> list[str]:
     ]
 
 
+def _left_slot(obj: Any, mesh: MeshData) -> int | None:
+    """Return a slot of the recovery, from 0, whose triangles have other slots now; None where there is none.
+
+    None also of a mesh with more or fewer triangles, as a new modifier makes them.
+    """
+    with _triangulated(obj) as data:
+        count = len(data.loop_triangles)
+        if count != len(mesh.materials):
+            return None
+        now = read_attribute(data.loop_triangles, "material_index", count, np.int32)
+    now = np.minimum(now, max(len(obj.material_slots) - 1, 0))  # as extract_mesh
+    return next((slot for slot in mesh.solved_slots if not (now[mesh.materials == slot] == slot).any()), None)
+
+
 def _uvs(obj: Any, uv_map: str) -> np.ndarray | None:
     """Return (T, 3, 2) texture coordinates of an object's triangles, as ``extract_mesh`` reads them; None without."""
+    with _triangulated(obj) as mesh:
+        layer = mesh.uv_layers.get(uv_map)
+        if layer is None:
+            return None
+        loops = read_attribute(mesh.loop_triangles, "loops", 3 * len(mesh.loop_triangles), np.int32)
+        return read_attribute(layer.uv, "vector", 2 * len(mesh.loops)).reshape(-1, 2)[loops].reshape(-1, 3, 2)
+
+
+@contextmanager
+def _triangulated(obj: Any) -> Iterator[Any]:
+    """Yield the evaluated mesh of an object, with its triangles, and remove it."""
     import bpy
 
     mesh = new_evaluated_mesh(obj)
     try:
-        layer = mesh.uv_layers.get(uv_map)
-        if layer is None:
-            return None
         mesh.calc_loop_triangles()
-        loops = read_attribute(mesh.loop_triangles, "loops", 3 * len(mesh.loop_triangles), np.int32)
-        return read_attribute(layer.uv, "vector", 2 * len(mesh.loops)).reshape(-1, 2)[loops].reshape(-1, 3, 2)
+        yield mesh
     finally:
         bpy.data.meshes.remove(mesh)

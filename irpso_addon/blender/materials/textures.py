@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import itertools
 import tempfile
-from collections.abc import Iterable, Mapping
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -27,36 +27,50 @@ TAG = "irpso_map"
 _unsaved: set[Path] = set()  # the maps' files written in this session that no saved .blend shows
 
 
-def material_images(maps: Maps, subject: str, folder: Path | None, former: Mapping[str, Any]) -> dict[str, Any]:
-    """Return map name → bpy image, created or updated. former: from ``own_images``.
+Pictures = dict[str, tuple[MapTable, dict[int, Path]]]  # map name → its table, and UDIM tile → file
 
-    folder: of the image files; None packs them into the .blend. A map is a 16-bit PNG, or a 32-bit EXR where its range
-    exceeds 0…1; UDIM tiles have one file each in a tiled image. Raises InputError where the folder cannot be written.
+
+@contextmanager
+def written_pictures(maps: Maps, subject: str, folder: Path | None, height: np.ndarray | None) -> Iterator[Pictures]:
+    """Write the files of all maps, and of a relief's heights (H, W), for ``material_images``.
+
+    folder: of the files; None: a temporary one, removed at the end. A map is a 16-bit PNG, or a 32-bit EXR where its
+    range exceeds 0…1; UDIM tiles have one file each. Beyond UV seams heights have the nearest value of their own side,
+    as at other borders. Raises InputError where the folder cannot be written.
     """
-    return {table.name: _map_image(maps, table, subject, folder, former) for table in map_tables(maps.model)}
-
-
-def data_image(
-    maps: Maps, name: str, values: np.ndarray, subject: str, folder: Path | None, former: Mapping[str, Any]
-) -> Any:
-    """Return the bpy image, a 32-bit EXR, of values (H, W, 1) over the maps' texels that are no map of the model.
-
-    Beyond UV seams the image has the nearest value of its own side, as at other borders.
-    """
-    table = MapTable(name, (Parameter(name, range=(-1.0, 1.0)),))  # a range that exceeds PNG's
-    return _map_image(replace(maps, values={name: values}, margin=None), table, subject, folder, former)
-
-
-def _map_image(maps: Maps, table: MapTable, subject: str, folder: Path | None, former: Mapping[str, Any]) -> Any:
-    tag = f"{subject}/{table.name}"
+    parts = [(table, maps) for table in map_tables(maps.model)]
+    if height is not None:
+        table = MapTable("height", (Parameter("height", range=(-1.0, 1.0)),))  # a range that exceeds PNG's
+        parts.append((table, replace(maps, values={"height": height[..., None]}, margin=None)))
     with tempfile.TemporaryDirectory(prefix="irpso-") as temporary:
-        where = Path(temporary) if folder is None else folder
-        paths = _write_pictures(maps, table, where, subject)
-        if folder is not None:
+        place, remedy = (folder, "choose another folder") if folder else (Path(temporary), "free space there")
+        pictures: Pictures = {}
+        try:
+            for table, part in parts:
+                pictures[table.name] = table, _write_picture(part, table, place, subject)
+        except OSError as error:
+            for path in (path for _, paths in pictures.values() for path in paths.values()):
+                path.unlink(missing_ok=True)
+            raise InputError(f"{place}: cannot be written ({error.strerror or error}); {remedy}") from error
+        yield pictures
+
+
+def material_images(pictures: Pictures, subject: str, packed: bool, former: Mapping[str, Any]) -> dict[str, Any]:
+    """Return map name → bpy image, created or updated. former: from ``own_images``. packed: into the .blend."""
+    images = {}
+    for name, (table, paths) in pictures.items():
+        tag = f"{subject}/{name}"
+        images[name] = _update_image(former.get(tag), f"IRPSO {subject} {name}", paths, table, packed)
+        images[name][TAG] = tag
+        if not packed:
             _unsaved.update(path.resolve() for path in paths.values())
-        image = _update_image(former.get(tag), f"IRPSO {subject} {table.name}", paths, table, packed=folder is None)
-    image[TAG] = tag
-    return image
+    return images
+
+
+def check_saved(images: Iterable[Any]) -> None:
+    """Raise InputError for an image with unsaved changes: what was painted would be lost."""
+    if dirty := next((image for image in images if image.is_dirty), None):
+        raise InputError(f"image '{dirty.name}' has unsaved changes; save it in the Image Editor (Image › Save) first")
 
 
 def check_images(model: ReflectanceModel, subject: str) -> None:
@@ -97,11 +111,10 @@ def map_images(subject: str) -> list[Any]:
     return [image for image in bpy.data.images if str(image.get(TAG, "")).rpartition("/")[0] == subject]
 
 
-def _write_pictures(maps: Maps, table: MapTable, folder: Path, subject: str) -> dict[int, Path]:
+def _write_picture(maps: Maps, table: MapTable, folder: Path, subject: str) -> dict[int, Path]:
     """Write a map into new files; return UDIM tile number → file.
 
     No file is replaced: a saved .blend, another subject of a similar name or an earlier step of *Undo* may show it.
-    Raises InputError where the folder cannot be written.
     """
     name = f"IRPSO {shortened(subject)} {table.name}"
     stem = "".join(c if c.isalnum() or c in "_-" else "_" for c in name)
@@ -110,17 +123,14 @@ def _write_pictures(maps: Maps, table: MapTable, folder: Path, subject: str) -> 
     sets = (
         {number: folder / f"{tile_stem(one, number, maps.tiles)}{suffix}" for number in maps.tiles} for one in stems
     )
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        paths = next(one for one in sets if not any(path.exists() for path in one.values()))
-        for number, part in split_maps(maps):
-            values = map_values(table, part)
-            if table.fits_unit:
-                encode_png(paths[number], encoded_values(table, values), bits=16)
-            else:
-                write_exr(paths[number], {"": exr_channels(values)})
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written ({error.strerror or error}); choose another folder") from error
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = next(one for one in sets if not any(path.exists() for path in one.values()))
+    for number, part in split_maps(maps):
+        values = map_values(table, part)
+        if table.fits_unit:
+            encode_png(paths[number], encoded_values(table, values), bits=16)
+        else:
+            write_exr(paths[number], {"": exr_channels(values)})
     return paths
 
 

@@ -9,13 +9,16 @@ from typing import Any
 
 import numpy as np
 
+from ...blender.materials.material import slots_subject
 from ...blender.mesh import extract_mesh
 from ...blender.scenes.scene import mesh_object, open_blend
 from ...core.errors import InputError
+from ...exports.asset import write_to_shelf
 from ...geometry.surface.slots import slot_names
 from ...pipeline.drive import CHECKPOINT
 from ...results.write import check_output_folder, check_replaces_no_maps
 from ...solver.state.checkpoint import check_replaceable
+from .values import shelf_of
 
 EACH = "each"
 _UNFIT = re.compile(r"[^\w\- ]+")  # not in a folder's name
@@ -39,6 +42,35 @@ def open_slots(options: Namespace, blend: str | None) -> tuple[Path, dict[str, t
         extract_mesh(subject, slots)
         check_replaceable(folder / label / CHECKPOINT)
     return folder, chosen
+
+
+def asset_names(options: Namespace, chosen: dict[str, tuple[int, ...]]) -> dict[str, str]:
+    """Return folder name → the asset's name, of the slots of the open file; nothing without --asset.
+
+    Raises InputError, with the slot, where the library has an asset already, or two would be one file.
+    """
+    if options.asset is None:
+        return {}
+    subject, shelf = mesh_object(options.object), shelf_of(options, options.asset)
+    names: dict[str, str] = {}
+    taken: dict[str, str] = {}
+    for label, slots in chosen.items():
+        names[label] = f"{options.asset_name} {label}" if options.asset_name else slots_subject(subject, slots)
+        try:
+            path = shelf.path(names[label])
+        except InputError as error:
+            raise InputError(f"slot '{label}': {error}") from error
+        other = taken.setdefault(str(path).lower(), label)
+        if other != label:
+            raise InputError(f"slot '{label}': its asset would have the file of '{other}', {path}; rename its material")
+    return names
+
+
+def write_assets(options: Namespace, chosen: dict[str, tuple[int, ...]], names: dict[str, str]) -> dict[str, str]:
+    """Write the recovered slots of the open file as assets; return folder name → .blend. names: ``asset_names``."""
+    subject = mesh_object(options.object)
+    shelf = shelf_of(options, options.asset)
+    return {label: str(write_to_shelf(shelf, subject, name, chosen[label])) for label, name in names.items()}
 
 
 def _slots_with_faces(subject: Any) -> dict[str, tuple[int, ...]]:

@@ -23,6 +23,7 @@ from ...results.read import read_parameter
 from ...solver.settings.schedule import Schedule, load_schedule
 
 MAX_SIDE = 16384
+OF_ASSETS = ("asset_name", "catalog", "author", "license", "tag")  # options of an asset beside its library
 
 
 def silent(options: Namespace) -> bool:
@@ -54,7 +55,7 @@ def shelf_of(options: Namespace, library: str) -> Shelf:
 
 def check_shelf(options: Namespace, remedy: str) -> None:
     """Raise InputError for the options of ``shelf_of`` where no asset is written. remedy: how one would be."""
-    for name in ("asset_name", "catalog", "author", "license", "tag"):
+    for name in OF_ASSETS:
         if getattr(options, name):
             raise InputError(f"--{name.replace('_', '-')}: is of an asset; {remedy}, or leave the option out")
 

@@ -53,7 +53,7 @@ class Refinement:
     )  # fmt: skip
     neighbour_weight: float = setting(
         "Neighbor Weight", "Weight of agreeing neighbors against a texel's own samples, where these are ambiguous."
-        " More leaves fewer texels that differ from their neighbors; 0 is off", 0.0, soft_max=4,
+        " More leaves fewer texels that differ from their neighbors; 0 is off", 0.0, soft_max=10,
     )  # fmt: skip
     damping: float = setting(
         "Damping",

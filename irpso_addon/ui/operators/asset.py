@@ -78,8 +78,7 @@ class IRPSO_OT_save_asset(bpy.types.Operator):
                     f"asset library '{library.name}' has no folder: choose one in Preferences › File Paths › Asset"
                     " Libraries"
                 )
-            tags = tuple(word.strip() for word in self.tags.split(",") if word.strip())
-            shelf = Shelf(folder, self.catalog, self.author, self.license, tags)
+            shelf = Shelf(folder, self.catalog, self.author, self.license, tuple(self.tags.split(",")))
             name = self.asset_name.strip() or recovered_slot(context.object)[TAG]
             path = write_to_shelf(shelf, context.object, name)
         except InputError as error:

@@ -169,7 +169,7 @@ class IRPSO_OT_export(bpy.types.Operator):
             result = replace(result, baked_sky=mesh_open_sky(alone(job.mesh), result.maps))
         subject, photographs = partial(_subject, running), partial(_photographs, running, self.photographs)
         report = export(result, self.format, path, self.convention, subject, photographs)
-        text = rpt("{what} written to {name}", what=FORMATS[self.format][0], name=report["output"])
+        text = rpt("{what} written to {name}", what=iface(FORMATS[self.format][0]), name=report["output"])
         moved = uv_warnings(running.subject(), job.mesh) if self.format == "gltf" and job.mesh is not None else []
         return text, [*report.get("warnings", []), *moved]
 

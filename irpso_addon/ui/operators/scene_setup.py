@@ -349,9 +349,9 @@ class AssignImages(bpy.types.Operator):
         for light, reference in zip(lights, references, strict=False):
             light.irpso.image = images.of(reference)
         if len(names) == len(lights):
-            self.report(
-                {"INFO"}, rpt("{count} images assigned to {lights} lights", count=len(names), lights=len(lights))
-            )
+            one, count = rpt("1 image assigned to 1 light"), len(names)
+            many = rpt("{count} images assigned to {lights} lights", count=count, lights=count)
+            self.report({"INFO"}, one if count == 1 else many)
             return {"FINISHED"}
         count = min(len(names), len(lights))
         longer = len(lights) > count

@@ -9,11 +9,12 @@ import bpy
 
 from ...gpu import context_guard
 from ..common import failures
+from ..common.words import n_
 from ..session import session
 from .session_overlay import SessionOverlay
 from .surface import why_unseen
 
-_OVERLAY = "The overlay"  # its name in messages of failures
+_OVERLAY = n_("The overlay")  # its name in messages of failures
 _IDLE_SECONDS = 0.1  # between reads of the settings while the session pauses
 
 installed: list[tuple[type, Any]] = []

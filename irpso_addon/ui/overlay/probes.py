@@ -6,14 +6,14 @@ from bpy.props import IntProperty
 
 from ..common import failures
 from ..common.polls import usable
-from ..common.words import n_, rpt
+from ..common.words import iface, n_, rpt
 from ..session import session
 from . import flat, handlers
 from .picking import first_hit, nearest_texel, texel_at, view_ray
 from .surface import bounding_corners, is_solved, placement, triangles_of
 
 _REACH = 3  # most distance from the click to a solved texel, in texels
-_HELP = "Click the subject to see the error of a texel. Esc or right-click ends"
+_HELP = n_("Click the subject to see the error of a texel. Esc or right-click ends")
 
 
 class IRPSO_OT_probe(bpy.types.Operator):
@@ -52,7 +52,7 @@ class IRPSO_OT_probe(bpy.types.Operator):
         if bpy.app.background or context.window is None:
             return self.execute(context)
         context.window.cursor_modal_set("CROSSHAIR")
-        context.workspace.status_text_set(_HELP)
+        context.workspace.status_text_set(iface(_HELP))
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
 

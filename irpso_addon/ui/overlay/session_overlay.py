@@ -13,6 +13,7 @@ from ...capture.camera import Camera
 from ...core.errors import InputError
 from ...gpu import context_guard
 from ...gpu.viewport import Drawing, Surface
+from ...solver.engine.progress import Progress
 from ...solver.views.display import Shown
 from ...solver.views.texel_probe import TexelProbe
 from ...solver.views.tiled_view import TiledTexelProbe, texel_probe_of
@@ -54,7 +55,7 @@ class SessionOverlay:
         self._trails: dict[int, swarm.Trail] = {}  # by the probe's slot
         self._truths: dict[tuple[int, str], np.ndarray | None] = {}  # by image and parameter
         self._updated = 0.0
-        self._evaluations_read = -1  # evaluations when the probes were last read
+        self._progress_read: Progress | None = None  # when the probes were last read
 
     def is_due(self) -> bool:
         """Return whether new pictures are due, by the preferences' display rate."""
@@ -204,9 +205,9 @@ class SessionOverlay:
             running.probes.numbered(scene.irpso.view.probe) for scene in self._scenes() if scene.irpso.view.show_swarm
         ]
         unread = any(not probe.curve for probe in running.probes) or any(p.slot not in self._trails for p in watched)
-        if progress.evaluations == self._evaluations_read and not unread:
+        if progress == self._progress_read and not unread:
             return False
-        self._evaluations_read = progress.evaluations
+        self._progress_read = progress
         for probe in running.probes:
             state = self._reader.read(probe.row, probe.column)
             if state is None:

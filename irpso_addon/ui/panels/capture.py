@@ -11,7 +11,7 @@ from ..common.words import iface, n_
 from ..operators.capture_import import checking
 from ..operators.scene_setup import numbered_lights, of_number
 from ..properties import findings, upkeep
-from ..properties.scene_settings import CUSTOM
+from ..properties.model_items import CUSTOM
 from ..session.scene_capture import has_capture, wants_distance
 from .mesh import draw_mesh
 from .sidebar import BeforeRun

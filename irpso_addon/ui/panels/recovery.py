@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import bpy
 
 from ...core.errors import InputError
 from ...pipeline.result import capture_warnings
+from ...solver.lights.refine import Lights
 from ...solver.settings.schedule import GROUPS
 from ..common import drawing, failures
 from ..common.words import iface, n_
@@ -20,6 +22,7 @@ from ..session.scene_capture import has_capture
 from ..session.scene_job import missing
 from .sidebar import Sidebar
 
+_ROUND, _LEVEL = re.compile(r", round (\d+) of interreflection$"), re.compile(r" at 1/(\d+)$")  # ends of titles
 _OF_STRENGTHS = "--intensities"  # in warnings whose remedy is Light Strengths
 
 
@@ -78,7 +81,6 @@ def draw_progress(layout, context, running: session.Session) -> None:
     """Draw stage, progress, error, speed and remaining time; and the buttons."""
     layout.label(text=running.job.name, icon="TEXTURE", translate=False)
     progress = running.progress
-    title = running.title.replace("_", " ").replace(" + ", ", ")
     text = (
         iface("Paused at {part:.0%}", part=running.fraction) if running.state == "paused" else f"{running.fraction:.0%}"
     )
@@ -86,7 +88,7 @@ def draw_progress(layout, context, running: session.Session) -> None:
     column = layout.column(align=True)
     column.scale_y = 0.9
     lines = 3 if running.job.schedule.interreflection.estimates else 2  # a fixed number, so that buttons do not move
-    drawing.fact(column, context, "Now", iface(title[:1].upper() + title[1:]), lines)
+    drawing.fact(column, context, "Now", stage_text(running.title), lines)
     if progress is not None:
         drawing.fact(column, context, "Iteration", f"{progress.iteration_in_all} / {progress.iterations_in_all}")
         drawing.fact(column, context, "Error", "–" if running.error is None else drawing.percent(running.error))
@@ -110,6 +112,29 @@ def draw_progress(layout, context, running: session.Session) -> None:
         layout.operator("irpso.export", text="Export…", icon="EXPORT")
 
 
+def stage_text(title: str) -> str:
+    """Return the title of a step or stage in the user's language, the parameters of a search one by one."""
+    if round_found := _ROUND.search(title):
+        stage = stage_text(title[: round_found.start()])
+        return iface("{stage}, round {number} of interreflection", stage=stage, number=round_found[1])
+    if level := _LEVEL.search(title):
+        return iface("{stage} at 1/{part} of the size", stage=stage_text(title[: level.start()]), part=level[1])
+    parts = title.split(" + ")
+    names = [part[:1].upper() + part[1:] if " " in part else bpy.path.display_name(part) for part in parts]
+    return ", ".join(map(iface, names))
+
+
+def lights_text(lights: Lights) -> str:
+    """Return how refined lights differ from the given ones, in the user's language, as ``Lights.summary``."""
+    parts = []
+    if lights.scaled:
+        factors = lights.factors.mean(axis=-1)
+        parts.append(iface("{low:.2g} to {high:.2g} × as given", low=factors.min(), high=factors.max()))
+    if lights.turned.any():
+        parts.append(iface("turned by {degrees:.1f}°", degrees=lights.turned.mean()))
+    return ", ".join(parts) or iface("as given")
+
+
 def draw_result(layout, context, running: session.Session) -> list[str]:
     """Draw the result's figures and warnings, and the buttons; return the warnings."""
     kept, stopped = running.kept, running.stopped
@@ -126,7 +151,7 @@ def draw_result(layout, context, running: session.Session) -> list[str]:
     if running.held_out_line:
         drawing.wrapped(layout, context, running.held_out_line, "HIDE_ON")
     if running.lights is not None:
-        drawing.fact(column, context, "Lights", running.lights.summary())
+        drawing.fact(column, context, "Lights", lights_text(running.lights))
     if (found := running.recovery.findings.get("interreflection")) is not None:
         _draw_interreflection(column, context, found)
     of_capture = capture_warnings(running.job.capture, reads=False, exposures=not running.job_run.scaled)

@@ -12,7 +12,7 @@ from ...core.errors import InputError
 from ...solver.settings.renamed import current_settings
 from ...solver.settings.schedule import SETTINGS
 from ..common.file_paths import absolute
-from .scene_settings import CUSTOM
+from .model_items import CUSTOM
 
 _TYPES = {"BOOLEAN", "INT", "FLOAT", "STRING", "ENUM"}  # types of properties that are numbers, texts or choices
 _LEFT_OUT = {"name", "checked_path", "paths_base", "summary", "slots", "slot_list"}
@@ -80,7 +80,19 @@ def schedule_recipe(schedule: Any) -> dict[str, Any]:
 
 
 def apply_recipe(settings: Any, recipe: dict[str, Any]) -> None:
-    """Set a scene's settings from a recipe. Raises InputError if an object, collection or image of it is missing."""
+    """Set a scene's settings from a recipe.
+
+    Raises InputError if an object, collection or image of it is missing, or this version has no such setting or value.
+    """
+    try:
+        _apply(settings, recipe)
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            f"its settings are of another version of the program ({error}); finish it there, or delete it"
+        ) from error
+
+
+def _apply(settings: Any, recipe: dict[str, Any]) -> None:
     objects, images = bpy.data.objects, bpy.data.images
     if (name := recipe["object"]) is not None and name not in objects:
         raise InputError(f"this file has no object '{name}', which was recovered; open the file that has it")

@@ -18,14 +18,14 @@ from bpy.props import (
 
 from ...core.errors import InputError
 from ...core.paths import DEFAULT_MODEL
-from ...reflectance.model import ReflectanceModel, load_model, shipped_models
+from ...reflectance.model import ReflectanceModel, load_model
 from ...solver.lights.refine import MAX_DEGREES
 from ...solver.views.texel_probe import component_names
 from ..common.features import RELATIVE_PATH
 from ..common.file_paths import absolute
+from .model_items import CUSTOM, MODEL_ITEMS
 from .schedule_settings import ScheduleSettings
 
-CUSTOM = "CUSTOM"  # the user's own model
 UPDATE_CALLBACKS: dict[
     str, Callable[[bpy.types.PropertyGroup], None]
 ] = {}  # setting → the operators' function on its change
@@ -98,12 +98,13 @@ def model_source(settings: "Settings") -> str:
 
 
 def refresh_parameters(settings: "Settings", context: object = None) -> None:
-    """Fill the list of parameters from the model. Parameters that stay keep their settings."""
+    """Fill the list of parameters from the model. Parameters that stay keep their settings, and the view its map."""
     try:
         parameters = model_of(settings).parameters
     except InputError:
         parameters = ()
     former = {item.name: (item.recover, item.value, tuple(item.color), item.image) for item in settings.parameters}
+    shown = settings.view.parameter
     settings.parameters.clear()
     for parameter in parameters:
         item = settings.parameters.add()
@@ -112,18 +113,8 @@ def refresh_parameters(settings: "Settings", context: object = None) -> None:
             parameter.name, (True, parameter.default[0], (*parameter.default, 0, 0, 0)[:3], None)
         )
         item.recover, item.value, item.color, item.image = recover, value, color, image
-
-
-def _model_item(name: str) -> tuple[str, str, str]:
-    """Return the entry of a shipped model: the short part of its title as name, the long part as tooltip."""
-    short, _, long = load_model(name).title.partition(": ")
-    return name, short, (long or short)[:1].upper() + (long or short)[1:]
-
-
-_MODEL_ITEMS = [
-    *(_model_item(name) for name in shipped_models()),
-    (CUSTOM, "Custom Model…", "A .toml that declares the parameters, with its .glsl beside it"),
-]
+    if parameters:  # the view stores a place in the list
+        settings.view.parameter = shown if shown in settings.parameters else parameters[0].name
 
 
 def _parameter_items(self, context):
@@ -362,7 +353,7 @@ class Settings(bpy.types.PropertyGroup):
     model: EnumProperty(
         name="Model",
         description="How the surface reflects light, and so which maps are recovered",
-        items=_MODEL_ITEMS,
+        items=MODEL_ITEMS,
         default=DEFAULT_MODEL,
         update=refresh_parameters,
     )

@@ -7,7 +7,8 @@ from bpy.app.handlers import persistent
 
 from ..common import failures
 from ..common.words import n_
-from .scene_settings import CUSTOM, refresh_parameters
+from .model_items import CUSTOM
+from .scene_settings import refresh_parameters
 from .schedule_settings import rename_stored
 
 

@@ -14,7 +14,7 @@ from ...solver.settings.schedule import Schedule
 from ..common.file_paths import absolute
 from ..common.words import iface
 from ..properties import findings
-from ..properties.scene_settings import CUSTOM
+from ..properties.model_items import CUSTOM
 from ..properties.schedule_settings import schedule_of
 
 _MESH_COVERAGE = 0.7  # fraction of a mesh's map that a usual UV map covers

@@ -131,7 +131,7 @@ class Session:
     @property
     def stamp(self) -> str:
         """The stamp of a material with the current maps, "" before the recovery has begun."""
-        return f"{self._uuid} {self.recovery.progress.evaluations}" if self.recovery is not None else ""
+        return f"{self._uuid} {self.recovery.progress}" if self.recovery is not None else ""
 
     @property
     def kept(self) -> bool:

@@ -12,6 +12,7 @@ from irpso_addon.blender.materials.material import apply_material, build_materia
 from irpso_addon.blender.materials.result_blend import save_blend
 from irpso_addon.blender.materials.textures import mark_saved, remove_superseded, superseded
 from irpso_addon.core.errors import InputError
+from irpso_addon.core.png import encode_png
 from irpso_addon.reflectance.model import load_model
 from tests.gpu.blender.test_material import SHAPE, counts, pixels, random_maps
 
@@ -221,6 +222,40 @@ def test_maps_that_cannot_be_written_are_refused_and_leave_no_material(tmp_path,
     with pytest.raises(InputError, match="cannot be written .No space left on device.; choose another folder"):
         build_material(random_maps(load_model("lambert")), "icon", tmp_path)
     assert not bpy.data.materials
+
+
+@pytest.mark.parametrize(("place", "remedy"), [("more", "choose another folder"), (None, "free space there")])
+def test_maps_that_cannot_all_be_written_leave_the_former_material_as_it_was(tmp_path, monkeypatch, place, remedy):
+    def tree():
+        links = [(one.from_node.name, one.to_node.name, one.to_socket.name) for one in material.node_tree.links]
+        nodes = [(one.name, one.bl_idname, getattr(one, "image", None)) for one in material.node_tree.nodes]
+        return nodes, links, [pixels(one[2]).tolist() for one in nodes if one[2]]
+
+    def full(*words, **options):
+        written.append(encode_png(*words, **options))
+        if len(written) == 3:
+            raise OSError(28, "No space left on device")
+
+    material, written = build_material(random_maps(load_model("principled")), "icon", tmp_path / "maps"), []
+    before = tree()
+    monkeypatch.setattr("irpso_addon.blender.materials.textures.encode_png", full)
+    for name in ("principled", "cook_torrance_two_lobe"):
+        written.clear()
+        with pytest.raises(InputError, match=f"cannot be written .No space left on device.; {remedy}"):
+            build_material(random_maps(load_model(name), seed=1), "icon", place and tmp_path / place)
+        assert tree() == before and len(written) == 3
+    assert len(list(tmp_path.glob("more/*"))) <= 2  # those that were being written
+
+
+def test_an_image_with_unsaved_paint_is_refused_and_stays_painted(tmp_path):
+    build_material(random_maps(load_model("lambert")), "icon", tmp_path)
+    image = bpy.data.images["IRPSO icon base_color"]
+    image.pixels[:4] = (0, 1, 0, 1)
+    with pytest.raises(InputError, match="image 'IRPSO icon base_color' has unsaved changes; save it"):
+        build_material(random_maps(load_model("lambert"), seed=1), "icon", tmp_path)
+    assert image.is_dirty and tuple(image.pixels[:4]) == (0, 1, 0, 1) and len(list(tmp_path.iterdir())) == 2
+    image.save()
+    build_material(random_maps(load_model("lambert"), seed=1), "icon", tmp_path)
 
 
 def test_a_copy_in_another_folder_finds_the_users_images_and_libraries(tmp_path):

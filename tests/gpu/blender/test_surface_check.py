@@ -1,10 +1,11 @@
-"""Whether an object still has the UV map of its recovery."""
+"""Whether an object still has the material slots and the UV map of its recovery."""
 
 import bpy
 import pytest
 
 from irpso_addon.blender.materials.surface_check import check_surface, uv_warnings
 from irpso_addon.blender.mesh import extract_mesh
+from irpso_addon.core.errors import InputError
 
 
 @pytest.fixture
@@ -41,3 +42,22 @@ def test_a_uv_map_edited_on_a_linked_duplicate_is_warned_of_before_edit_mode_end
     bmesh.update_edit_mesh(twin.data)
     (warning,) = uv_warnings(grid, mesh)
     assert "of 'Grid' has changed since its maps were recovered" in warning
+
+
+@pytest.mark.parametrize("name", [None, "skin"])
+def test_slots_that_look_alike_have_moved_where_their_faces_have_another_slot(grid, name):
+    material = bpy.data.materials.new(name) if name else None
+    for _ in range(2):
+        grid.data.materials.append(material)
+    for number, face in enumerate(grid.data.polygons):
+        face.material_index = number % 2
+    mesh = extract_mesh(grid, (1,))
+    check_surface(grid, mesh, "Grid")
+    grid.data.polygons[1].material_index = 0  # one face to another slot, as one pleases
+    check_surface(grid, mesh, "Grid")
+    grid.data.polygons[1].material_index = 1
+    with bpy.context.temp_override(object=grid, active_object=grid):
+        bpy.ops.object.material_slot_move(direction="DOWN")
+    with pytest.raises(InputError, match="all faces of material slot 1 of 'Grid' have another slot since its recovery"):
+        check_surface(grid, mesh, "Grid")
+    assert len(bpy.data.meshes) == 1

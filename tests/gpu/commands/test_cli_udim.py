@@ -10,6 +10,7 @@ from mathutils import Vector
 
 from irpso_addon.blender.scenes.light_units import sun_strength
 from irpso_addon.capture.images.exr import write_exr
+from irpso_addon.exports import asset
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.read import read_maps
 from tests.builders import command_line as cli_maker
@@ -271,6 +272,32 @@ def test_slots_in_turn_replace_neither_files_of_others_nor_the_report_of_a_mesh(
     )  # fmt: skip
     assert code == 2 and name in err and said in err
     assert (tmp_path / "out" / name).read_bytes() == b"former"
+
+
+def test_assets_of_slots_in_turn_are_written_after_the_last_and_refused_before_the_first(folder, tmp_path, monkeypatch):
+    arguments = (
+        "recover", folder / "capture single", "--blend", folder / "shared.blend", "--resolution", 8, "--iterations", 5,
+        *MODEL, *QUICK, "--slots", "each", "--quiet",
+    )  # fmt: skip
+    library = tmp_path / "library"
+    written = []
+
+    def write(path, obj, material, name, about, catalog):
+        assert (tmp_path / "out" / "material.blend").is_file() and about.author == "me"
+        path.touch()
+        written.append((path.name, material.name, name))
+
+    monkeypatch.setattr(asset, "write_asset", write)
+    words = ("--asset", library, "--author", "me")
+    assert run_cli(*arguments, *words, "-o", tmp_path / "out")[0] == 0
+    assert written == [(f"Sheets_{name}.blend", f"IRPSO Sheets {name}", f"Sheets {name}") for name in SLOTS]
+    (library / "Sheets_Skin.blend").unlink()
+    code, _, err = run_cli(*arguments, *words, "-o", tmp_path / "more")
+    assert code == 2 and "slot 'Cloth': " in err and "Sheets_Cloth.blend: the library has this file already" in err
+    assert not (tmp_path / "more").exists() and not (library / "Sheets_Skin.blend").exists()
+    monkeypatch.setattr(asset, "file_stem", lambda name: "same")
+    code, _, err = run_cli(*arguments, *words, "-o", tmp_path / "more")
+    assert code == 2 and "slot 'Cloth': its asset would have the file of 'Skin'" in err
 
 
 def test_other_slots_have_no_texels_but_occlude(folder, tmp_path):

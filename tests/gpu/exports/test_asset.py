@@ -6,6 +6,7 @@ import bpy
 import numpy as np
 import pytest
 
+from irpso_addon.blender.materials import asset
 from irpso_addon.blender.materials.asset import recovered_slot
 from irpso_addon.blender.materials.material import TAG, apply_material, build_material, card_object
 from irpso_addon.blender.materials.pictures import icon
@@ -13,7 +14,7 @@ from irpso_addon.blender.materials.result_blend import save_blend
 from irpso_addon.core.errors import InputError
 from irpso_addon.exports import turntable
 from irpso_addon.exports.asset import Shelf, write_to_shelf
-from irpso_addon.exports.catalog import CATALOGS, catalog_id
+from irpso_addon.exports.catalog import CATALOGS
 from irpso_addon.exports.result import read_result, slots_of_result
 from irpso_addon.exports.turntable import write_turntable
 from irpso_addon.reflectance.model import load_model
@@ -85,6 +86,29 @@ def test_the_library_has_the_material_with_maps_preview_and_words_and_the_open_f
     assert linear[1] / linear[0] == pytest.approx(RED[1] / RED[0], abs=0.03)
 
 
+def test_empty_tags_are_left_out(card, tmp_path, monkeypatch):
+    monkeypatch.setattr(asset, "icon", lambda obj, side: np.zeros((side, side, 4)))
+    path = write_to_shelf(Shelf(tmp_path, tags=("", " red ", " ")), card, "leaf")
+    assert {tag.name for tag in loaded(path).asset_data.tags} == {"red", "photographed"}
+
+
+def test_words_that_are_not_utf8_are_refused_before_anything_is_written(tmp_path):
+    latin = b"caf\xe9".decode("utf-8", "surrogateescape")  # as Python has bytes of a command line (PEP 383)
+    for option, words in [("catalog", {"catalog": latin}), ("author", {"author": latin}),
+                          ("license", {"license": latin}), ("tag", {"tags": ("red", latin)})]:  # fmt: skip
+        with pytest.raises(InputError, match=rf"--{option}: 'caf\\udce9' is not UTF-8; give another one"):
+            Shelf(tmp_path, **words)
+    with pytest.raises(InputError, match=r"--asset-name: 'caf\\udce9' is not UTF-8; give another one"):
+        Shelf(tmp_path).path(latin)
+
+
+def test_a_catalog_file_that_is_damaged_is_refused_beforehand(tmp_path):
+    (tmp_path / CATALOGS).write_bytes(b"\xff")
+    assert Shelf(tmp_path).path("leaf") == tmp_path / "leaf.blend"
+    with pytest.raises(InputError, match=f"{CATALOGS}: cannot be read"):
+        Shelf(tmp_path, "Leaves").path("leaf")
+
+
 def test_an_object_that_others_move_is_in_the_picture_and_keeps_its_place(card, tmp_path):
     anchor = bpy.data.objects.new("anchor", None)
     bpy.context.collection.objects.link(anchor)
@@ -141,30 +165,26 @@ def test_an_image_whose_file_is_gone_is_named_and_the_others_stay_files(tmp_path
     assert not list((tmp_path / "library").glob("*"))
 
 
-def test_a_catalog_files_line_ends_stay(tmp_path):
-    theirs = b"VERSION 1\r\n\r\n11111111-2222-3333-4444-555555555555:Stone/Marble:Stone-Marble\r\n"
-    (tmp_path / CATALOGS).write_bytes(theirs)
-    made = catalog_id(tmp_path, "Leaves")
-    assert (tmp_path / CATALOGS).read_bytes() == theirs + f"{made}:Leaves:Leaves\r\n".encode()
-
-
-def test_a_catalog_is_made_once_and_others_stay(tmp_path):
-    theirs = "# mine\nVERSION 1\n\n11111111-2222-3333-4444-555555555555:Stone/Marble:marble"
-    (tmp_path / CATALOGS).write_text(theirs)
-    assert catalog_id(tmp_path, "Stone/ Marble") == "11111111-2222-3333-4444-555555555555"
-    made = catalog_id(tmp_path, "Stone")
-    assert catalog_id(tmp_path, "Stone") == made and (tmp_path / CATALOGS).read_text().startswith(theirs + "\n")
-    for wrong in ("", "a//b", "a:b", "/a"):
-        with pytest.raises(InputError, match="single slashes"):
-            catalog_id(tmp_path, wrong)
-
-
 def test_what_the_library_has_already_is_refused_and_kept(card, tmp_path):
     path = write_to_shelf(Shelf(tmp_path), card, "leaf")
     kept = path.read_bytes()
     with pytest.raises(InputError, match=r"leaf\.blend: the library has this file already; give another --asset-name"):
         write_to_shelf(Shelf(tmp_path), card, "leaf")
     assert path.read_bytes() == kept
+
+
+def test_an_asset_that_another_process_writes_meanwhile_is_refused_and_kept(card, tmp_path, monkeypatch):
+    before = counts()
+
+    def slow(*words):
+        (tmp_path / "leaf.blend").write_bytes(b"theirs")
+        return icon(*words)
+
+    monkeypatch.setattr(asset, "icon", slow)
+    with pytest.raises(InputError, match=r"leaf\.blend: the library has this file already; give another --asset-name"):
+        write_to_shelf(Shelf(tmp_path), card, "leaf")
+    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("leaf.blend", b"theirs")]
+    assert counts() == before
 
 
 def test_the_material_of_the_active_slot_is_saved_if_it_was_recovered(card):

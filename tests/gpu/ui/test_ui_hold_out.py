@@ -139,6 +139,20 @@ def test_a_stopped_run_is_relit_again_after_resuming(settings):
     assert running.held_out_line.startswith("Unseen photographs: ") and running.held_out_line != early
 
 
+def test_a_run_stopped_in_a_stage_that_renders_nothing_is_kept_and_relit_anew_after_resuming(settings):
+    running = begin()
+    while running.progress is None or running.progress.title != "surface" or running.progress.iteration < 2:
+        running.tick(0.0001)
+    assert bpy.ops.irpso.stop() == {"FINISHED"}
+    assert running.stopped and running.kept
+    evaluations, normals = running.progress.evaluations, running.maps().values["normal"]
+    (early,) = running.job_run.relit[1:]
+    assert bpy.ops.irpso.resume() == {"FINISHED"}
+    running.run()
+    assert running.progress.evaluations == evaluations and (running.maps().values["normal"] != normals).any()
+    assert not running.kept and running.job_run.relit[1] != early
+
+
 def test_the_panel_shows_relighting_and_the_search_time_stops(settings):
     running = begin()
     while not running.relighting:

@@ -2,6 +2,7 @@
 
 import functools
 import sys
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -84,6 +85,32 @@ def test_a_fresh_scene_and_a_new_one_have_the_parameters_of_their_model(settings
     assert len(other.irpso.parameters) == 0
     upkeep.fill_lists()
     assert [item.name for item in other.irpso.parameters] == names
+
+
+@pytest.mark.bpy_only
+def test_the_view_keeps_its_map_in_another_model_or_shows_the_first(settings):
+    for first, name, second, found in [
+        ("metallic_roughness", "specular", "lambert", "base_color"),
+        ("metallic_roughness", "roughness", "clear_coat", "roughness"),
+        ("lambert", "normal", "principled", "normal"),
+    ]:
+        settings.model = first
+        settings.view.parameter = name
+        settings.model = second
+        assert settings.view.parameter == found
+
+
+@pytest.mark.bpy_only
+def test_a_file_keeps_its_model_when_there_are_more(settings, monkeypatch):
+    from irpso_addon.ui.properties import model_items
+
+    names = "anisotropic clear_coat cook_torrance_two_lobe lambert metallic_roughness principled principled_metallic"
+    stored = {name: number for number, name in enumerate([*names.split(), "principled_two_lobe", "CUSTOM"])}  # 0.1.0
+    numbers = {item.identifier: item.value for item in settings.bl_rna.properties["model"].enum_items}
+    assert {name: numbers[name] for name in stored} == stored and len(set(numbers.values())) == len(numbers)
+    monkeypatch.setattr(model_items, "load_model", lambda name: SimpleNamespace(title="a model"))
+    assert model_items._model_item("an_added_one")[3] == 1611394408
+    assert model_items._model_item("principled")[3] == stored["principled"]
 
 
 @pytest.mark.bpy_only

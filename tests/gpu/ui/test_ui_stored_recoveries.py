@@ -396,3 +396,19 @@ def test_a_given_image_that_is_not_in_the_file_is_named(stored):
     gone = {**stored.recipe, "parameters": {"roughness": {**stored.recipe["parameters"]["roughness"], "image": "lost"}}}
     with pytest.raises(InputError, match="no image 'lost', given for roughness"):
         recipe.apply_recipe(bpy.context.scene.irpso, gone)
+
+
+def test_settings_of_another_version_are_refused_and_the_scenes_stay(stored, plane):
+    from irpso_addon.ui.session import stored_recoveries
+
+    forget_settings(plane)
+    plane.capture_path, plane.model = "/mine", "clear_coat"
+    kept = stored.recipe
+    for settings in ({"model": "of_tomorrow"}, {"seed": "many"}):
+        other = {**kept, "settings": kept["settings"] | settings}
+        stored_recoveries.listed()[0].recipe.update(other)
+        with pytest.raises(
+            RuntimeError, match="its settings are of another version of the program .*; finish it there"
+        ):
+            bpy.ops.irpso.restore(path=str(stored.path))
+        assert (plane.capture_path, plane.model) == ("/mine", "clear_coat")

@@ -1,14 +1,17 @@
 """The window's words in other languages: complete, with the same placeholders, and registered with Blender."""
 
+import itertools
 import re
 import string
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import bpy
 import pytest
 
 import irpso_addon
+from irpso_addon.core.errors import InputError
 from irpso_addon.ui.common.drawing import lines_of
 from irpso_addon.ui.translations import register
 from irpso_addon.ui.translations.po import read_po
@@ -88,6 +91,7 @@ def test_no_panel_shows_a_text_without_asking_for_its_translation(words):
         ("self.report({'INFO'}, f'{n} files')", [("f'{n} files'", "report() shows it in English")]),
         ("self.report({'ERROR'}, 'Five')", []),
         ("usable(cls, there, 'Six')", [("Six", "")]),
+        ("workspace.status_text_set('Seven')", [("Seven", "status_text_set() shows it in English")]),
     ],
 )
 def test_words_are_found_in_code(words, code, found):
@@ -104,6 +108,26 @@ def test_a_tooltip_stands_in_one_line(words):
     names = [name for name in dir(bpy.ops.irpso) if not name.startswith("_")]
     texts = {name: getattr(bpy.ops.irpso, name).get_rna_type().description for name in names}
     assert {name for name, text in texts.items() if "\n" in text or "  " in text} == set()
+
+
+def test_every_stage_of_the_shipped_schedules_has_a_title_in_the_users_language(words, monkeypatch):
+    from irpso_addon.reflectance.model import load_model, shipped_models
+    from irpso_addon.solver.settings.resolve import resolve
+    from irpso_addon.solver.settings.schedule import load_schedule, shipped_presets
+    from irpso_addon.ui.panels import recovery
+    from irpso_addon.ui.panels.recovery import stage_text
+
+    german = read_po(FOLDER / "de.po")
+    monkeypatch.setattr(recovery, "iface", lambda text, **values: german.get(text, "English").format(**values))
+    models = [load_model(name) for name in shipped_models()]
+    titles = set()
+    for schedule, model in itertools.product(map(load_schedule, shipped_presets()), models):
+        with suppress(InputError):  # a preset that cannot search all parameters of a model together
+            titles |= {stage.title for stage in resolve(schedule, model, set(), 96)}
+    assert len(titles) > 10 and [title for title in titles if "English" in stage_text(title)] == []
+    assert stage_text("roughness + base_color") == f"{german['Roughness']}, {german['Base Color']}"
+    later = stage_text("surface at 1/2, round 2 of interreflection")
+    assert german["Surface"] in later and "round" not in later and "2" in later and "1/2" in later
 
 
 def test_a_po_file_is_read_with_its_quotes_joined_and_without_fuzzy_entries(tmp_path):

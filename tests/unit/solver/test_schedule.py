@@ -11,7 +11,7 @@ from irpso_addon.solver.phases.swarm import neighbour_constant
 from irpso_addon.solver.settings.groups import Stage
 from irpso_addon.solver.settings.refinement_groups import Refinement
 from irpso_addon.solver.settings.resolve import ResolvedRefinement, particle_count, resolve, unsearched_names
-from irpso_addon.solver.settings.schedule import load_schedule, shipped_presets
+from irpso_addon.solver.settings.schedule import SETTINGS, load_schedule, shipped_presets
 
 SWARM = (PRESETS / "swarm.toml").read_text(encoding="utf-8")
 
@@ -26,6 +26,14 @@ def test_a_shipped_preset_loads_under_its_own_name(name):
     assert name in shipped_presets()
     schedule = load_schedule(name)
     assert schedule.name == name and schedule.stages and schedule.title
+
+
+@pytest.mark.parametrize("name", shipped_presets())
+def test_the_sliders_reach_the_values_of_a_shipped_preset(name):
+    values = load_schedule(name).settings()
+    numbers = {key: one for key, one in SETTINGS.items() if isinstance(values.get(key), int | float) and one.soft_max}
+    assert len(numbers) > 30
+    assert [key for key, one in numbers.items() if values[key] > one.soft_max] == []
 
 
 def test_the_constants_of_the_paper_are_what_the_paper_prints():
