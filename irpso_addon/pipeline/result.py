@@ -186,7 +186,7 @@ def _light_warnings(run: Run, domain: Domain, maps: Maps) -> list[str]:
     """Return warnings of room light, of the lights' order, of estimated lights, or of intensities not stated."""
     job, lights = run.job, run.lights
     fitted = subset(domain, job.fitted)
-    warnings = light_warnings(fitted, job.seed)
+    warnings = light_warnings(fitted, job.seed, [job.capture.observations[k].name for k in job.fitted])
     if lights is not None:
         warnings += lights.warnings(job.lights.intensities == "estimate")
     if run.scaled:

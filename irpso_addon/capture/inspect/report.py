@@ -326,7 +326,8 @@ def _geometry_findings(
         return
     if flatness(directions) < sufficiency.FLAT_USELESS:
         return
-    if text := light_order_message(pixels, pixels > 0, (directions * power[:, None])[:, None]):
+    names = [observation.name for observation in observations]
+    if text := light_order_message(pixels, pixels > 0, (directions * power[:, None])[:, None], names):
         yield Finding("lights_order", f"{spec.source}: {text}")
     mask = shrunk(frames.mask.astype(float), frames.factors) > 0.999
     normals = checks.lambertian_normals(np.stack(frames.thumbnails) / power[:, None, None], directions)

@@ -40,6 +40,20 @@ def test_a_shuffled_list_is_recognised(surface):
     assert "no better than lights in a random order" in message(surface, SHUFFLED)
 
 
+@pytest.mark.parametrize("surface", MATT)
+@pytest.mark.parametrize("by_number", [False, True])
+def test_lights_in_another_order_of_the_names_are_recognised(surface, by_number):
+    """``ls`` lists 1.jpg, 10.jpg, 11.jpg … 2.jpg, and the lamps are listed in the order of their numbers; or back."""
+    numbers = [f"{n + 1}.jpg" for n in range(24)]
+    letters = sorted(numbers)
+    names, of_lights = (letters, numbers) if by_number else (numbers, letters)
+    order = [of_lights.index(name) for name in names]  # the lamp that lit each photograph
+    values = photographs(surface, SCATTERED["wide"][order], 0.02)[0].mean(axis=-1)
+    said = light_order_message(values, values > 0, SCATTERED["wide"][:, None], names)
+    assert f"names, sorted by the {'numbers' if by_number else 'letters'} in them" in said
+    assert "names" not in light_order_message(values, values > 0, SCATTERED["wide"][order][:, None], names)
+
+
 def test_a_reversed_list_is_recognised():
     assert "the list reversed" in message("clay", np.arange(24)[::-1])
 
