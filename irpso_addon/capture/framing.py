@@ -67,7 +67,7 @@ class Framing:
 def framed_steps(capture: Capture, framing: Framing) -> Generator[float, None, Capture]:
     """Return the capture with framed images, resampled on reading; yield the fraction done of a search for corners.
 
-    A framed pixel is the weighted mean of the pixels that it covers, and a lower bound where a part of it is clipped.
+    A framed pixel is the weighted mean of the masked pixels that it covers, and a lower bound where a part is clipped.
     A scale applies to all cameras, crop, corners and card_width only to a capture of one. Raises CaptureError where the
     part is not inside the image, the corners are not those of a rectangle under the camera's lens, or are not found.
     card_distance counts along the camera's axis: where corners turn the camera, the result's is shorter.
@@ -81,7 +81,10 @@ def framed_steps(capture: Capture, framing: Framing) -> Generator[float, None, C
         raise CaptureError(f"{part}: capture '{capture.name}' has {len(capture.cameras)} cameras; it is for one", part)
     views = [_view(camera, framing) for camera in capture.cameras]
     observations = tuple(
-        replace(observation, read=partial(_read, observation.read, views[observation.camera]))
+        replace(
+            observation,
+            read=partial(_read, observation.read, views[observation.camera], capture.masks[observation.camera]),
+        )
         for observation in capture.observations
     )
     masks = tuple(view.mask(mask) for view, mask in zip(views, capture.masks, strict=True))
@@ -257,8 +260,13 @@ def _weighted(rgba: np.ndarray) -> np.ndarray:
     return out
 
 
-def _read(read: Callable[[], np.ndarray], view: _View) -> np.ndarray:
-    return view.image(read())
+def _read(read: Callable[[], np.ndarray], view: _View, mask: np.ndarray) -> np.ndarray:
+    """Return a framed image; resampled pixels at the rim of a mask (H, W) are means of the subject alone."""
+    image = read()
+    if view.window is None and not mask.all():
+        image = image.copy()
+        image[~mask, 3] = 0
+    return view.image(image)
 
 
 def _bilinear(image: np.ndarray, places: np.ndarray) -> np.ndarray:

@@ -93,6 +93,24 @@ def test_a_mask_keeps_pixels_that_it_covers_for_the_most_part():
     assert found.sum() == 2
 
 
+@pytest.mark.parametrize("background", [0.0, 0.95, 5.0])
+@pytest.mark.parametrize("turned", [False, True])
+def test_texels_at_the_rim_of_a_mask_show_the_subject_alone(background, turned):
+    camera = Camera.from_fov(WIDTH, HEIGHT, 40.0, WORLD)
+    y, x = np.mgrid[:HEIGHT, :WIDTH] + 0.5
+    mask = np.hypot(x - 41, y - 30) < 23.3
+    image = np.concatenate([np.full((HEIGHT, WIDTH, 3), background), np.ones((HEIGHT, WIDTH, 1))], axis=-1)
+    image[~mask, 3] = bounded(np.float32(1), np.full(3, background > 1))  # clipped
+    image[mask, :3] = 0.4
+    corners = tilted_card(camera)[1] if turned else None
+    capture = capture_of(image, camera, mask)
+    for scale in (0.5, 0.37):
+        part = framed(capture, Framing(corners=corners, scale=scale))
+        seen = part.observations[0].read()[part.masks[0]]
+        np.testing.assert_allclose(seen[:, :3], 0.4, rtol=1e-5)
+        assert seen[:, 3].min() > 0.5 and seen[:, 3].max() == pytest.approx(1)
+
+
 def test_scale_that_divides_nothing_keeps_the_mean_and_the_camera():
     x, y = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
     ramp = np.stack([x, y, x + y, np.ones_like(x)], axis=-1)
