@@ -17,6 +17,7 @@ _MIN_SIDE = 16  # pixels: shortest side of a thumbnail, of images of that many
 _COMPARED = 64  # pixels: longest side of the images that are compared pair by pair
 _MEMORY = 96 << 20  # bytes for all crops together, and for all thumbnails; checks need about twice that again
 _IDENTICAL, _SIMILAR = 0.0, 0.002  # relative RMS; frames of lights 2° apart differ by more than 1 %
+_UNLIT = 0.01  # of the frames' median brightness: noise alone
 _CLIPPED = 0.02  # of the masked pixels of all frames: more are a finding
 
 
@@ -120,6 +121,13 @@ def _frame_findings(frames: Frames, shifts: np.ndarray) -> Iterator[Finding]:
             f"{names[worst]}: {frames.clipped[worst]:.1%} of its pixels are clipped, brighter than the file"
             f" can hold ({np.mean(frames.clipped):.1%} of all images'); take the photographs with a shorter exposure",
         )
+    bright = _bright(frames)
+    for k in np.flatnonzero((bright > 0) & (bright < _UNLIT * np.median(bright)))[:5]:  # exact zeros are said already
+        yield Finding(
+            "image_black",
+            f"{names[k]}: has {bright[k] / np.median(bright):.1%} of the other photographs' light; if its lamp did not"
+            " fire, take it and its light out of the list",
+        )
     thumbnails = np.stack(frames.thumbnails)
     small = [shrunk(thumbnail, _factors(thumbnail.shape, _COMPARED)) for thumbnail in thumbnails]
     for i, j, difference in checks.similar_frames(np.stack(small), _SIMILAR)[:5]:
@@ -138,10 +146,15 @@ def _frame_findings(frames: Frames, shifts: np.ndarray) -> Iterator[Finding]:
 def brightest(frames: Frames, capture: Capture) -> np.ndarray:
     """Return (K,) the 99th percentile of radiance of each observation in the mask; NaN of unreadable ones."""
     bright = np.full(len(capture.observations), np.nan)
-    mask = shrunk(frames.mask.astype(float), frames.factors) > 0.5
-    if mask.any():
-        bright[frames.indices] = [np.percentile(thumbnail[mask], 99) for thumbnail in frames.thumbnails]
+    bright[frames.indices] = _bright(frames)
     return bright
+
+
+def _bright(frames: Frames) -> np.ndarray:
+    """Return (N,) the 99th percentile of radiance of each frame in the mask; NaN for a mask of less than a pixel."""
+    mask = shrunk(frames.mask.astype(float), frames.factors) > 0.5
+    parts = [np.percentile(thumbnail[mask], 99) if mask.any() else np.nan for thumbnail in frames.thumbnails]
+    return np.array(parts, np.float64)
 
 
 def counted(number: int, one: str, many: str) -> str:

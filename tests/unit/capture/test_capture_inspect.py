@@ -269,6 +269,15 @@ def test_nan_negative_and_black_images_are_reported(tmp_path):
     assert "003.exr: is all black" in finding(found, "image_black")
 
 
+@pytest.mark.parametrize(("light", "warned"), [(0.0, True), (0.003, True), (0.03, False)])
+def test_a_photograph_of_noise_alone_is_reported(tmp_path, light, warned):
+    frames = FRAMES.copy()
+    frames[5] = light * frames[5] + 0.001 * RNG.random(frames[5].shape)
+    found = report(tmp_path, frames.astype(np.float32))
+    assert found.codes == ({"image_black"} if warned else set())
+    assert not warned or "005.exr: has 0." in finding(found, "image_black")
+
+
 def test_clipped_pixels_are_counted(tmp_path):
     codes = np.minimum(FRAMES[:, ::-1, :, None] * 400, 255).round().repeat(3, axis=-1)
     for k, code in enumerate(codes):
