@@ -129,6 +129,21 @@ def axis_cosine(whole: Camera, used: Camera) -> float:
     return 1.0 if np.array_equal(whole.matrix, used.matrix) else float(whole.backward @ used.backward)
 
 
+def used_pixels(camera: Camera, framing: Framing) -> np.ndarray:
+    """Return (H, W) bool, row 0 at the bottom: the pixels whose centre is in the crop or between the known corners."""
+    x, y = np.meshgrid(np.arange(camera.width) + 0.5, camera.height - np.arange(camera.height) - 0.5)
+    corners = framing.corners
+    if framing.crop:
+        left, top, width, height = framing.crop
+        corners = (left, top), (left + width, top), (left + width, top + height), (left, top + height)
+    used = np.ones(x.shape, bool)
+    if corners and corners != AUTO:
+        places = np.array(corners, np.float64)
+        for (ax, ay), (bx, by) in zip(places, np.roll(places, -1, axis=0), strict=True):  # clockwise, with y down
+            used &= (bx - ax) * (y - ay) >= (by - ay) * (x - ax)
+    return used
+
+
 def distance_of_width(camera: Camera, framing: Framing) -> float:
     """Return the ``card_distance`` that the card_width of a framing, whose corners are known, stands for."""
     used = _view(camera, framing).camera

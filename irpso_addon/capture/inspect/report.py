@@ -15,7 +15,7 @@ from ...core.steps import blocking, map_steps
 from ..card import card_size, lights_at_card, near_lights
 from ..errors import CaptureError
 from ..frame.find import DetectedCorners
-from ..framing import AUTO, axis_cosine, found_corner_steps, framed
+from ..framing import AUTO, axis_cosine, found_corner_steps, framed, used_pixels
 from ..images.encoding import Encoding
 from ..images.image import ImageStore
 from ..images.linearise import Decoder
@@ -119,6 +119,8 @@ def inspect_steps(
             capture = replace(capture, card_distance=part.card_distance / cosine)
         findings += [Finding("card_tilted", f"{spec.source}: {text}") for text in part.card_warnings]
         facts += _facts(spec, capture, part)
+        used = (used_pixels(camera, framing) for camera in capture.cameras)
+        capture = replace(capture, masks=tuple(map(np.logical_and, capture.masks, used)))
     except CaptureError as error:
         findings += _errors(error)
     yield from _encoding_steps(capture, facts, findings)

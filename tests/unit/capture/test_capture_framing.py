@@ -93,6 +93,20 @@ def test_a_mask_keeps_pixels_that_it_covers_for_the_most_part():
     assert found.sum() == 2
 
 
+def test_used_pixels_are_those_of_the_crop_or_between_the_corners():
+    camera = Camera.from_fov(WIDTH, HEIGHT, 40.0, WORLD)
+    crop = np.zeros((HEIGHT, WIDTH), bool)
+    crop[HEIGHT - 28 : HEIGHT - 7, 12:52] = True
+    np.testing.assert_array_equal(framing.used_pixels(camera, Framing(crop=(12, 7, 40, 21))), crop)
+    _, corners, axes, _ = tilted_card(camera)
+    middle = np.array([0.2, -0.1, -9.0])
+    rays = replace(camera, matrix=np.eye(4)).points(1.0)
+    place = (rays * ((axes[:, 2] @ middle) / (rays @ axes[:, 2]))[..., None] - middle) @ axes[:, :2]
+    card = (np.abs(place) < np.divide(CARD, 2)).all(axis=-1)  # the pixels whose ray meets the card
+    np.testing.assert_array_equal(framing.used_pixels(camera, Framing(corners=corners)), card)
+    assert framing.used_pixels(camera, Framing(scale=0.5)).all()
+
+
 @pytest.mark.parametrize("background", [0.0, 0.95, 5.0])
 @pytest.mark.parametrize("turned", [False, True])
 def test_texels_at_the_rim_of_a_mask_show_the_subject_alone(background, turned):

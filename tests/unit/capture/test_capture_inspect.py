@@ -278,6 +278,19 @@ def test_a_photograph_of_noise_alone_is_reported(tmp_path, light, warned):
     assert not warned or "005.exr: has 0." in finding(found, "image_black")
 
 
+@pytest.mark.parametrize("row", [3, 30])
+def test_pixels_are_checked_in_the_part_that_is_used(tmp_path, row):
+    frames = FRAMES.astype(np.float32)
+    frames[4, row, 28:33] = np.nan
+    write_diligent(tmp_path, frames, RINGS, MASK)
+    rows = "".join(
+        f'[[observation]]\nimage = "{k:03d}.exr"\nlight_direction = {RINGS[k].tolist()}\n' for k in range(len(frames))
+    )
+    (tmp_path / "capture.toml").write_text(f"format = 1\ncrop = [16, 16, 32, 32]\n[[camera]]\n{rows}")
+    found = inspect_capture(tmp_path / "capture.toml")
+    assert found.codes == ({"not_finite"} if row == 30 else set()) and found.texels == 32 * 32
+
+
 def test_clipped_pixels_are_counted(tmp_path):
     codes = np.minimum(FRAMES[:, ::-1, :, None] * 400, 255).round().repeat(3, axis=-1)
     for k, code in enumerate(codes):
