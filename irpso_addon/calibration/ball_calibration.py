@@ -19,7 +19,7 @@ from ..capture.rectify import rectified_camera
 from ..capture.spec import CaptureSpec, ViewSpec, build_capture
 from ..core.errors import InputError
 from ..core.steps import map_steps
-from .balls.ball import Ball, fit_ball, outline_of_circle, outline_of_mask
+from .balls.ball import MIN_POINTS, Ball, fit_ball, outline_of_circle, outline_of_mask
 from .balls.checks import ball_warnings, near_lamps, unknown_lens
 from .balls.detect.found import FoundBall, as_ball, known_tables, usable_balls
 from .balls.detect.search import search_steps
@@ -89,7 +89,13 @@ def find_ball(request: BallRequest, camera: Camera, store: ImageStore, number: i
         mask = store.mask(ImageRef(request.mask))
         if not mask.any() or mask.all():
             raise InputError(f"{request.mask}: shows no ball; paint the ball white and the rest black")
-        return fit_ball(outline_of_mask(mask), camera, f"{name} ({request.mask.name})", radius)
+        outline = outline_of_mask(mask)
+        if len(outline) < MIN_POINTS:
+            raise InputError(
+                f"{request.mask}: is white up to its borders, so no ball ends in it; paint the ball white and the rest"
+                " black"
+            )
+        return fit_ball(outline, camera, f"{name} ({request.mask.name})", radius)
     if len(request.numbers) == 3:
         x, y, across = request.numbers
         return fit_ball(outline_of_circle(x, camera.height - y, across), camera, name, radius, measured=False)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ..blender.materials.anisotropy_nodes import grain_parameters
 from ..capture.types import Capture
 from ..core.errors import InputError
 from ..geometry.surface.mesh import MeshData
@@ -74,6 +75,14 @@ class Job:
                 f"--refine-directions (Refine Lights): the light of '{beam.name}' falls off from its axis"
                 " (light_cosine), which is not corrected with its place; set it to 0, or leave light_cosine out"
             )
+
+        pair = set(grain_parameters(self.model) or ())
+        for option, maps in (("--fixed", self.fixed), ("--ground-truth", self.truth or {})):
+            if self.mesh is not None and len(alone := pair & set(maps)) == 1:
+                raise InputError(
+                    f"{option}: {alone.pop()} is one of the two numbers of a grain, which mix between the frames of a"
+                    f" mesh; give both, {' and '.join(sorted(pair))}, or neither"
+                )
 
     def possible(self, schedule: Schedule) -> Schedule:
         """Return a schedule as the job runs it: matte rounds need a mesh that casts shadows, solved at one size."""

@@ -69,13 +69,13 @@ def maps_from_blender(
 def grains_of(
     model: ReflectanceModel, values: Mapping[str, np.ndarray], shape: tuple[int, int]
 ) -> tuple[tuple[str, str], np.ndarray] | None:
-    """Return the grain's two names and (H, W) complex grains of maps; None for constants, or without both."""
+    """Return the grain's two names and (H, W) complex grains of maps or numbers; None without both, or of no grain."""
     names = grain_parameters(model)
     if names is None or not all(name in values for name in names):
         return None
     x, y = (np.asarray(values[name], np.float64) for name in names)
-    if max(x.size, y.size) < np.prod(shape):
-        return None  # constants
+    if not (x.any() or y.any()):
+        return None  # the same in every frame
     x, y = (np.broadcast_to(part.reshape(shape if part.size > 1 else ()), shape) for part in (x, y))
     return names, x + 1j * y
 

@@ -11,6 +11,7 @@ from ...capture.camera import Camera
 from ...core.errors import InputError
 
 SMALL = 15.0  # pixels of radius: below, half a pixel in the highlight is 4° in the light
+MIN_POINTS = 3  # of an outline
 _MIN_RADIUS = 5.0
 _UNEVEN, _NO_BALL = 0.02, 0.08  # RMS distance of the outline from the fit, in radii: warning, error
 _DIGITAL_NOISE = 0.7  # pixels: an outline of whole pixels deviates by as much
@@ -128,7 +129,7 @@ def fit_ball(
     outline a ball.
     """
     points = np.asarray(points, np.float64)
-    if len(points) < 3:
+    if len(points) < MIN_POINTS:
         raise InputError(f"{name}: its outline needs three points; click more")
     if radius is not None and not camera.perspective:
         raise InputError(

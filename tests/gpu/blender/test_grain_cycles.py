@@ -85,6 +85,19 @@ def test_maps_come_back_from_blenders_frames():
         np.testing.assert_allclose(read[name][inside], value[inside], atol=2e-6)
 
 
+def test_numbers_are_turned_into_the_solvers_frames_as_maps_are():
+    mesh = extract_mesh(monkey(0, scale=(-1, 1.4, 0.8)))
+    surface = bake_uv(mesh, TEXELS, TEXELS)
+    numbers = {"stretch": np.float32([0.2]), "slant": np.float32([0.6])}
+    maps = {name: np.tile(number, (TEXELS, TEXELS, 1)) for name, number in numbers.items()}
+    found, expected = (maps_from_blender(GRAIN, values, mesh, surface) for values in (numbers, maps))
+    assert np.ptp(expected["slant"][surface.coverage]) > 0.1
+    for name in numbers:
+        np.testing.assert_array_equal(found[name], expected[name])
+    none = {name: np.zeros(1, np.float32) for name in numbers}
+    assert maps_from_blender(GRAIN, none, mesh, surface).keys() == none.keys()
+
+
 @pytest.mark.parametrize("fold", [0, 60])
 @pytest.mark.parametrize(
     "degrees, mirrored", [(0, False), (90, False), (180, False), (30, False), (0, True), (90, True)]

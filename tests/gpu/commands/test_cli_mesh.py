@@ -146,6 +146,16 @@ def test_a_mesh_that_the_photographs_hardly_show_gets_a_warning(seen, card, warn
     assert len(said) == warned and (not warned or "show 9 of the mesh's 100 texels lit" in said[0])
 
 
+def test_one_of_the_two_numbers_of_a_grain_is_refused_on_a_mesh(ball, tmp_path):
+    folder = ball[0]
+    code, _, err = run_cli(
+        "recover", folder / "capture", "--blend", folder / "scene.blend", "--object", "Ball", "--resolution", TEXELS,
+        "--model", "anisotropic", "--fixed", "slant=0.6", "-o", tmp_path / "out",
+    )  # fmt: skip
+    assert code == 2 and "--fixed: slant is one of the two numbers of a grain" in err and err.count("\n") == 1
+    assert "give both, slant and stretch, or neither" in err and not (tmp_path / "out").exists()
+
+
 def test_albedo_and_roughness_are_recovered_under_a_known_normal_map(ball):
     folder, values = ball
     normal = values["normal"].astype(np.float32)

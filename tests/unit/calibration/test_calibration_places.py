@@ -7,10 +7,18 @@ import numpy as np
 import pytest
 
 from irpso_addon.calibration import write
-from irpso_addon.calibration.ball_calibration import ball_of_text, calibrate_steps, report_of, written_table
+from irpso_addon.calibration.ball_calibration import (
+    BallRequest,
+    ball_of_text,
+    calibrate_steps,
+    find_ball,
+    report_of,
+    written_table,
+)
 from irpso_addon.calibration.balls.lights import Request
 from irpso_addon.calibration.photographs import read_photographs, with_camera
 from irpso_addon.capture.framing import Framing
+from irpso_addon.capture.images.exr import write_exr
 from irpso_addon.capture.images.image import ImageStore
 from irpso_addon.capture.read import read_spec
 from irpso_addon.core.errors import InputError
@@ -76,6 +84,17 @@ def test_a_distance_to_the_lamps_without_a_unit_is_refused(balls):
         calibrated(balls, seen, distance=160.0)
     with pytest.raises(InputError, match="has no unit; give --fov and --radius"):
         calibrated(balls, read_photographs(balls[0]), distance=160.0)
+
+
+def test_a_mask_that_is_white_around_a_black_ball_is_refused(balls, tmp_path):
+    camera = (
+        read_photographs(balls[0]).views[0].make(*ImageStore().size(read_photographs(balls[0]).observations[0].image))
+    )
+    y, x = np.mgrid[: camera.height, : camera.width]
+    ball = np.hypot(x - camera.width / 2, y - camera.height / 2) < camera.height / 5
+    write_exr(tmp_path / "ball.exr", {"": {"Y": 1.0 - ball.astype(np.float32)}})
+    with pytest.raises(InputError, match="ball.exr: is white up to its borders, .*; paint the ball white"):
+        find_ball(BallRequest(tmp_path / "ball.exr"), camera, ImageStore(), 1, None)
 
 
 def test_lists_for_other_programs_name_files(balls):
