@@ -12,8 +12,12 @@ fits() {
 }
 
 find_python() {
-    for candidate in ${PYTHON:-python3.11 python3.13 python3 \
-        "$HOME"/.pyenv/versions/3.11.*/bin/python3 "$HOME"/.pyenv/versions/3.13.*/bin/python3}; do
+    if [ -n "${PYTHON:-}" ]; then
+        if fits "$PYTHON"; then echo "$PYTHON"; fi
+        return
+    fi
+    for candidate in python3.11 python3.13 python3 \
+        "${HOME:-}"/.pyenv/versions/3.11.*/bin/python3 "${HOME:-}"/.pyenv/versions/3.13.*/bin/python3; do
         if fits "$candidate"; then
             echo "$candidate"
             return

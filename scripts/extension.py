@@ -33,6 +33,14 @@ def this_platform() -> str:
     return f"{SYSTEMS.get(system, system)}-{MACHINES.get(machine, machine)}"
 
 
+def git(*words: str, root: Path = ROOT) -> str:
+    """Return what a command of git says in a checkout. Raises SystemExit where there is none."""
+    said = subprocess.run(["git", *words], cwd=root, capture_output=True, text=True)
+    if said.returncode:
+        raise SystemExit(f"{root}: is no git checkout ({said.stderr.strip()}); clone the repository and run this there")
+    return said.stdout
+
+
 def manifest() -> dict:
     """Return the extension's manifest."""
     return tomllib.loads((ROOT / "blender_manifest.toml").read_text(encoding="utf-8"))

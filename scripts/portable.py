@@ -103,6 +103,7 @@ def linked(files: list[Path], path: str) -> Iterator[Path]:
 
 def fill(tree: Path) -> None:
     """Write the archive's files into an empty folder."""
+    listed = extension.git("ls-files", "-z", *program())
     base, version = Path(sys.base_prefix), f"python{sys.version_info.major}.{sys.version_info.minor}"
     (tree / "python" / "bin").mkdir(parents=True)
     shutil.copy(Path(sys.executable).resolve(), tree / "python" / "bin" / "python3")
@@ -122,10 +123,7 @@ def fill(tree: Path) -> None:
         for name in LEFT_OUT:
             for path in data.glob(name):
                 shutil.rmtree(path) if path.is_dir() else path.unlink()
-    listed = subprocess.run(
-        ["git", "ls-files", "-z", *program()], cwd=extension.ROOT, capture_output=True, text=True, check=True
-    )
-    for name in filter(None, listed.stdout.split("\0")):
+    for name in filter(None, listed.split("\0")):
         target = tree / "program" / name
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(extension.ROOT / name, target)

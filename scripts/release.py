@@ -8,7 +8,6 @@ nothing is built.
 import argparse
 import hashlib
 import re
-import subprocess
 from pathlib import Path
 
 import extension
@@ -30,9 +29,8 @@ def notes(changelog: str, version: str) -> str:
 
 
 def check_committed(root: Path) -> None:
-    """Check that all files are committed. Raises SystemExit, naming those that are not."""
-    command = ["git", "status", "--porcelain"]
-    changed = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True).stdout.splitlines()
+    """Check that all files are committed. Raises SystemExit, naming those that are not, or if there is no checkout."""
+    changed = extension.git("status", "--porcelain", root=root).splitlines()
     if changed:
         names = ", ".join(line[3:] for line in changed[:5]) + (", …" if len(changed) > 5 else "")
         raise SystemExit(f"a release is made from a commit; commit or remove these files: {names}")

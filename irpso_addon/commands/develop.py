@@ -58,6 +58,12 @@ def run(options: Namespace) -> dict:
 
 def _measure_options(options: Namespace) -> MeasureOptions:
     """Return the options as ``MeasureOptions``. Raises InputError naming the option."""
+    if options.scale_dark and not options.dark:
+        raise InputError("--scale-dark: there are no dark frames to scale; give --dark, or leave it out")
+    if options.chart and not (options.grey_card or options.white or options.colour_chart):
+        raise InputError(
+            "--chart: names where patches are; say which, with --colour-chart, --white or --grey-card, or leave it out"
+        )
     corners: np.ndarray | str | None = None
     if options.colour_chart:
         auto = options.colour_chart == AUTO

@@ -23,6 +23,7 @@ from .options.page import UNNAMED, names_photographs, page_photographs
 from .options.values import check_shelf, shelf_of, silent, warn_quietly
 
 _CONVENTION, _WIDTH = "blender", 100.0
+_OF_OBJECTS = ("gltf", TURNTABLE, ASSET)
 _OWNERS = {"convention": "textures", "photographs": WEB, "width": RELIEF}  # option → the format that has it
 
 
@@ -75,6 +76,8 @@ def _check_options(options: Namespace) -> None:
     for name, owner in _OWNERS.items():
         if getattr(options, name) is not None and options.format != owner:
             raise InputError(f"--{name}: --format {options.format} has none; leave it out, or choose --format {owner}")
+    if options.object and options.format not in _OF_OBJECTS and not options.occlusion:
+        raise InputError(f"--object: --format {options.format} has none; leave it out")
 
 
 def _asset(result: Result, options: Namespace) -> dict:

@@ -97,7 +97,9 @@ def _was_previewed(options: Namespace) -> bool:
 def _check_asset(options: Namespace, job: Job) -> None:
     """Raise InputError, before anything slow, where the asset has no place in its library."""
     if options.asset is not None:
-        shelf_of(options, options.asset).path(options.asset_name or job.name)
+        path = shelf_of(options, options.asset).path(options.asset_name or job.name)
+        if path.resolve() == (Path(options.output) / BLEND).resolve():
+            raise InputError(f"{path}: is the result's own file; give another --asset-name, or another -o")
 
 
 def _preview(options: Namespace, job: Job, work: float) -> bool:

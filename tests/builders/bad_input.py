@@ -270,6 +270,7 @@ OPTIONS = {
     "ground truth of another size": (
         lambda f: recover("--ground-truth", f / "normal_4.exr")(f), r"normal is 4 × 3.*8 × 6"),
     "an object and no .blend": (recover("--object", "square"), r"--object is for meshes: give --blend"),
+    "no shadows of a card": (recover("--no-shadows"), r"--no-shadows is for meshes: give --blend"),
     "an output that is a file": (with_file(OUT, "mine", "--seed", 1), r"out: is a file"),
     "an output below a file": (
         lambda f: recover("-o", f / "scene.blend" / "deep")(f), r"scene.blend: is a file.*-o"),

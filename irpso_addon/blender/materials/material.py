@@ -247,12 +247,18 @@ def card_object(subject: str, height: int, width: int, displaced: bool | None = 
 
 def _give_height(mesh, x: float, y: float) -> None:
     """Put the corners of a card's mesh at ±y, unless the user has edited them."""
-    corners = [vertex.co for vertex in mesh.vertices]
+    import bmesh
+
+    edited = bmesh.from_edit_mesh(mesh) if mesh.is_editmode else None  # which replaces the mesh when Edit Mode ends
+    corners = [vertex.co for vertex in (mesh.vertices if edited is None else edited.verts)]
     made = len(corners) == 4 and all(abs(c.x) == x and c.z == 0 and abs(c.y) == abs(corners[0].y) for c in corners)
     if made and abs(corners[0].y) != np.float32(y):
         for corner in corners:
             corner.y = math.copysign(y, corner.y)
-        mesh.update()
+        if edited is None:
+            mesh.update()
+        else:
+            bmesh.update_edit_mesh(mesh)
 
 
 def new_material(name: str):

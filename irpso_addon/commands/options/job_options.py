@@ -135,6 +135,8 @@ def _check_mesh_options(options: Namespace) -> None:
     for option in ("object", "slots", "resolution", "occluder"):
         if getattr(options, option) and not options.blend:
             raise InputError(f"--{option} is for meshes: give --blend FILE (a card's maps have the images' size)")
+    if not options.shadows and not options.blend:
+        raise InputError("--no-shadows is for meshes: give --blend FILE, or leave it out (a card predicts no shadows)")
 
 
 def _check_checkpoint(options: Namespace, path: Path, model: ReflectanceModel, schedule: Schedule) -> None:

@@ -38,6 +38,9 @@ _SETTINGS = {
     "fix some (--fixed)": "fix some, under Maps",
     "give them: --corners X1,Y1,…,X4,Y4, or mark them in the window": "use Mark in Photograph",
     "--skip-damaged": "Leave Out Damaged Images",
+    "recover with --set interreflection_rounds=0": "switch Interreflection off",
+    "a smaller --scale": "a smaller Scale",
+    "choose gltf (--format gltf)": "choose the format glTF",
 }
 
 _log = logging.getLogger(__name__)

@@ -59,7 +59,10 @@ class IRPSO_OT_develop(SlicedOperator, bpy.types.Operator):
     doing = n_("Developing")
     names = {
         "--colour-chart auto": "Colors", "--colour-chart": "Colors", "--response": "Response", "--dark": "Dark Frames",
-        ", or use --scale-dark": "", "--flat": "Flat Fields",
+        ", or use --scale-dark": "", "--flat": "Flat Fields", "--white auto": "Colors",
+        ", let nothing cover the card, or give its place as X,Y,W,H": ", and let nothing cover the card",
+        "give the one that is, as X,Y,W,H": "choose a photograph that shows it alone, as Chart",
+        "give its corners as X1,Y1,…,X4,Y4": "use Mark Chart in Photograph",
     }  # fmt: skip
 
     colours: EnumProperty(name="Colors", description="Colors and brightness by a chart", items=_COLOURS, default="AUTO")

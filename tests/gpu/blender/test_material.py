@@ -327,6 +327,17 @@ def test_a_card_takes_the_proportions_of_other_maps_unless_it_was_edited():
     assert card.data.vertices[1].co.y == -np.float32(0.2)
 
 
+def test_a_card_in_edit_mode_takes_the_proportions_of_other_maps_unless_it_is_edited():
+    card = card_object("edited shape", 3, 4)
+    bpy.context.view_layer.objects.active = card
+    for size in ((2, 5), (1, 1)):  # at the second, a corner has been moved
+        bpy.ops.object.mode_set(mode="EDIT")
+        card_object("edited shape", *size)
+        bpy.ops.object.mode_set(mode="OBJECT")
+        assert {abs(vertex.co.y) for vertex in card.data.vertices} == {np.float32(0.2)}
+        card.data.vertices[0].co.z = 0.1
+
+
 def test_maps_from_another_capture_get_a_new_name():
     found = random_maps(load_model("lambert"))
     assert subject_name("icon", "/a/icon") == "icon"

@@ -223,6 +223,9 @@ def test_recover_and_export_write_assets(tmp_path):
     assert code == 0, err
     code, out, err = run_cli("recover", folder, "-o", tmp_path / "more", *solver, *shelf)
     assert code == 2 and "has this file already" in out and not (tmp_path / "more").exists()
+    code, out, err = run_cli("recover", folder, "-o", tmp_path / "more", *solver, "--asset", tmp_path / "more",
+                             "--asset-name", "material")  # fmt: skip
+    assert code == 2 and "is the result's own file" in out and not (tmp_path / "more").exists()
     code, out, err = run_cli("export", tmp_path / "out", "--format", "asset", "-o", tmp_path / "library",
                              "--asset-name", "Another", "--catalog", "Leaves", "--json")  # fmt: skip
     assert code == 0, err

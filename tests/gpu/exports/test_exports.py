@@ -283,8 +283,11 @@ def test_the_command_writes_each_format(kind, files, folder, tmp_path):
 
 @pytest.mark.parametrize(
     ("kind", "option"),
-    [("gltf", ("--convention", "unreal")), ("ptm", ("--photographs", "4")), ("gltf", ("--width", "5"))],
-)
+    [
+        ("gltf", ("--convention", "unreal")), ("ptm", ("--photographs", "4")), ("gltf", ("--width", "5")),
+        ("ptm", ("--object", "leaf")), ("textures", ("--object", "leaf")),
+    ],
+)  # fmt: skip
 def test_an_option_of_another_format_is_refused(kind, option, folder, tmp_path):
     code, _, err = run_cli("export", folder, "--format", kind, *option, "-o", tmp_path / "out")
     assert code == 2 and f"{option[0]}: --format {kind} has none" in err and not (tmp_path / "out").exists()

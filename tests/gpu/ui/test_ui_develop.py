@@ -87,11 +87,17 @@ def test_dark_frames_are_subtracted(settings, tmp_path):
 
 def test_what_fails_is_one_line_and_leaves_the_capture(settings, tmp_path):
     before = settings.capture_path, sorted(p.name for p in tmp_path.iterdir())
-    for words, given in (("holds no images", {"dark": "/nowhere"}), ("no 24-patch chart", {})):
-        if not given:
+    marked = "or use Mark Chart in Photograph"
+    for words, last, given in (
+        ("holds no images", "", {"dark": "/nowhere"}),
+        ("no 24-patch chart", marked, {}),
+        ("no grey card", "let nothing cover the card", {"colours": "GREY"}),
+    ):
+        if last:
             settings.chart_photograph = str(tmp_path / "photographs" / "0.png")
-        with pytest.raises(RuntimeError, match=words):
+        with pytest.raises(RuntimeError, match=words) as caught:
             bpy.ops.irpso.develop(**given)
+        assert str(caught.value).strip().endswith(last) and "--" not in str(caught.value)
     assert (settings.capture_path, sorted(p.name for p in tmp_path.iterdir())) == before
 
 

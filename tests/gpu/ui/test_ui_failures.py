@@ -90,6 +90,9 @@ def test_options_of_the_command_line_become_words_of_the_panel():
         "is of another version of the program; finish it there, or leave out --resume": "there, or delete it",
         "check the mesh's place and unit, --object and the cameras": "the chosen Object and the cameras",
         'search fewer, set linear = "solve", fix some (--fixed), or': "fix some, under Maps, or",
+        "no relief that throws light; recover with --set interreflection_rounds=0": "light; switch Interreflection off",
+        "choose fewer photographs, or a smaller --scale or --resolution": "or a smaller Scale or Resolution",
+        "which the page does not show; choose gltf (--format gltf)": "show; choose the format glTF",
     }
     for text, words in said.items():
         found = failures.message_of(InputError(text))

@@ -136,6 +136,7 @@ def test_maps_do_not_go_into_slots_or_a_uv_map_that_have_changed(settings, tmp_p
 
     thing, others = settings.object, settings.object.data
     skin, cloth = others.materials
+    of_faces = [face.material_index for face in others.polygons]
     settings.slots, thing.active_material_index = "ACTIVE", 1
     session.begin(make_job()).run()
     try:
@@ -151,6 +152,10 @@ def test_maps_do_not_go_into_slots_or_a_uv_map_that_have_changed(settings, tmp_p
         others.materials.clear()
         for material in (skin, skin, bpy.data.materials.new("more")):
             others.materials.append(material)  # another material in the slot, and one more slot, move nothing
+        others.update_tag()
+        with pytest.raises(RuntimeError, match="all faces of material slot 1 of 'Two' have another slot since"):
+            bpy.ops.irpso.keep()  # they were set to 0 with the slots
+        others.polygons.foreach_set("material_index", of_faces)
         layer = others.uv_layers.active
         layer.name = "Other"
         others.update_tag()

@@ -31,6 +31,8 @@ BROKEN = [
     (["--brackets", "names", "--exposures", "1,0"], "give exposures above 0"),
     (["--reference", "01.png"], "add --register"),
     (["--register", "--reference", "nobody"], "there is no such image"),
+    (["--scale-dark"], "there are no dark frames to scale; give --dark"),
+    (["--chart", "bright.png"], "--chart: names where patches are; say which"),
     (["--saturated", "2"], "above 0 and at most 1"),
 ]
 

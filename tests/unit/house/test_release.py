@@ -70,6 +70,12 @@ def test_a_tree_that_differs_from_its_commit_is_refused(release, tmp_path):
         release.check_committed(tmp_path)
 
 
+def test_a_tree_that_is_no_checkout_is_refused(release, tmp_path, monkeypatch):
+    monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
+    with pytest.raises(SystemExit, match="is no git checkout .*; clone the repository and run this there"):
+        release.check_committed(tmp_path)
+
+
 def test_nothing_is_built_for_a_version_without_notes(release, tmp_path, monkeypatch):
     (tmp_path / "CHANGELOG.md").write_text("# Changelog\n", encoding="utf-8")
     monkeypatch.setattr(release, "CHANGELOG", tmp_path / "CHANGELOG.md")
