@@ -164,7 +164,7 @@ def _worker_and_split(ranks: Ranks, options: Namespace, job: Job) -> tuple[Worke
     if options.dry_run:
         return None, division
     partition = _partition(ranks, job, division, present(surface))
-    fixed, _ = ranks.agreed(lambda: in_solver_frames(job, partition.whole.bake))
+    fixed, _ = ranks.agreed(lambda: in_solver_frames(job, partition.whole.bake, partition.whole.bake.coverage))
     worker = Worker(ranks, partition, fixed)
     ranks.agreed(lambda: _check_lit(worker, job))
     return worker, division

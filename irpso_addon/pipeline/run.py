@@ -23,6 +23,7 @@ from ..geometry.light.interreflection_geometry import CardInterreflection, Inter
 from ..geometry.samples import place_of
 from ..geometry.surface.bake import surface_bake
 from ..results.maps import Maps
+from ..results.report import UNIT_LENGTH
 from ..solver.engine.engine import RecoveryEngine
 from ..solver.engine.modes import with_modes
 from ..solver.engine.progress import Progress
@@ -33,6 +34,7 @@ from ..solver.lights.refine import Lights, chosen_steps
 from ..solver.planning.make_plan import covered_texels, make_plan, untiled
 from ..solver.planning.memory import free_memory
 from ..solver.planning.plan import Plan
+from ..solver.settings.fixed import full_map
 from ..solver.settings.schedule import Schedule
 from ..solver.state.prepare import Prepared, prepare
 from ..solver.views.held_out import distinct_names, relit_steps
@@ -110,7 +112,7 @@ class Run:
     def open(self) -> Generator[None, None, None]:
         """Read, calibrate lights, plan and prepare the recovery, yielding often. Raises InputError, ShaderError."""
         self.domain = yield from self._timed(READ, self._read())
-        self.fixed, self.truth = in_solver_frames(self.job, self.domain.bake)
+        self.fixed, self.truth = in_solver_frames(self.job, self.domain.bake, self.domain.solvable)
         if self._wants_lights(self.domain):
             self.lights = yield from self._timed(LIGHTS, self._find_lights(self.domain))
             if self.lights is not None:
@@ -309,9 +311,20 @@ class Run:
             yield
 
 
-def in_solver_frames(job: Job, bake: GeometryBake) -> tuple[MapsOf, MapsOf | None]:
-    """Return the job's fixed maps and ground truth with normals and grain in the frames of the domain's texels."""
+def in_solver_frames(job: Job, bake: GeometryBake, solvable: np.ndarray) -> tuple[MapsOf, MapsOf | None]:
+    """Return the job's fixed maps and ground truth with normals and grain in the frames of the domain's texels.
+
+    solvable: (H, W) bool. Raises InputError for fixed maps that are none, as ``full_map``, before normals get the
+    length 1. Normals of the truth without that length, which say that there is none, stay without a direction.
+    """
     if job.mesh is None:
         return job.fixed, job.truth
+    normal = next(p.name for p in job.model.parameters if p.is_normal)
+    if normal in job.fixed:
+        full_map(job.model, normal, job.fixed[normal], solvable)
     turn = partial(maps_from_blender, job.model, mesh=job.mesh, bake=surface_bake(bake))
-    return turn(values=job.fixed), job.truth and turn(values=job.truth)
+    truth = job.truth and turn(values=job.truth)
+    if truth and normal in truth:
+        known = np.abs(np.linalg.norm(np.asarray(present(job.truth)[normal], np.float64), axis=-1) - 1) < UNIT_LENGTH
+        truth = {**truth, normal: truth[normal] * known[..., None]}
+    return turn(values=job.fixed), truth

@@ -17,6 +17,7 @@ _FILE_STEM = re.compile(r"[A-Za-z0-9_-]+$")
 # Stems of a result's files other than the maps of its model.
 OTHER_FILES = ("maps", "residual", "confidence", "preview", "convergence", "relit", "height", "indirect",
                "normal_object", "normal_world", "normal_directx")  # fmt: skip
+_GREY, _COLOURED = 0.02, 0.01  # parts of a range, and of the texels so far from grey: more, and a picture is coloured
 _RESERVED = {*OTHER_FILES, "coverage", "strip", "live", "repeated"}
 
 
@@ -31,6 +32,29 @@ class MapTable:
     def components(self) -> int:
         """Number of channels in use."""
         return sum(p.components for p in self.parameters)
+
+    def channels_of(self, name: str, values: np.ndarray, where: str) -> np.ndarray:
+        """Return (H, W, components) of one parameter from a picture's channels (H, W, C).
+
+        They are its own if the picture has those of the whole map, else the first. Raises InputError, naming ``where``,
+        if they are too few, or if one number has several channels that differ.
+        """
+        at = 0
+        parameter = next(p for p in self.parameters if p.name == name)
+        if values.shape[-1] >= self.components:
+            at = sum(p.components for p in self.parameters[: self.parameters.index(parameter)])
+        own = values[..., at : at + parameter.components]
+        if own.shape[-1] < parameter.components:
+            raise InputError(
+                f"{where}: {name} has {parameter.components} channels, the file {values.shape[-1]}; save it as R, G, B"
+            )
+        if self.components == 1 and values.shape[-1] > 1:
+            apart = np.ptp(values[..., :3], axis=-1)
+            if apart.size and np.quantile(apart, 1 - _COLOURED) > _GREY * parameter.width:
+                raise InputError(
+                    f"{where}: its channels differ, and {name} is one number; save the channel of {name} alone"
+                )
+        return own
 
     @property
     def is_normal(self) -> bool:
@@ -66,6 +90,11 @@ def map_tables(model: ReflectanceModel) -> list[MapTable]:
         if len({p.color_space for p in table.parameters}) > 1:
             raise InputError(f"{what} is shared by parameters of two colour spaces; give each its own map")
     return tables
+
+
+def table_of(model: ReflectanceModel, name: str) -> MapTable:
+    """Return the map that holds a parameter. Raises InputError as ``map_tables``."""
+    return next(table for table in map_tables(model) if any(p.name == name for p in table.parameters))
 
 
 def map_values(table: MapTable, maps: Maps) -> np.ndarray:

@@ -10,8 +10,8 @@ import numpy as np
 from ..capture.images.exr import read_exr
 from ..core.errors import InputError
 from ..core.udim import ONE_SQUARE, PATTERN, tile_files
-from ..reflectance.model import Parameter, ReflectanceModel
-from .map_tables import OTHER_FILES, MapTable, map_tables
+from ..reflectance.model import ReflectanceModel
+from .map_tables import OTHER_FILES, MapTable, map_tables, table_of
 
 _COLOUR_NAMES = ("R", "G", "B", "A")
 _VECTOR_NAMES = ("X", "Y", "Z")
@@ -55,19 +55,25 @@ def _maps_of_file(path: Path, model: ReflectanceModel) -> dict[str, np.ndarray]:
     return values
 
 
-def read_parameter(path: str | Path, parameter: Parameter, tiles: Sequence[int] = ONE_SQUARE) -> np.ndarray:
-    """Return (H, W, components) of one parameter from an EXR of a single part. Raises InputError.
+def read_parameter(
+    path: str | Path, model: ReflectanceModel, name: str, tiles: Sequence[int] = ONE_SQUARE
+) -> np.ndarray:
+    """Return (H, W, components) of a model's parameter from an EXR of a single part. Raises InputError.
 
-    tiles: as in ``read_maps``.
+    The file is the parameter's own, or the map that it shares with others. tiles: as in ``read_maps``.
     """
-    return _side_by_side(Path(path), [_parameter_of_file(file, parameter) for file in tile_files(Path(path), tiles)])
+    table = table_of(model, name)
+    return _side_by_side(Path(path), [_parameter_of_file(file, table, name) for file in tile_files(Path(path), tiles)])
 
 
-def _parameter_of_file(path: Path, parameter: Parameter) -> np.ndarray:
+def _parameter_of_file(path: Path, table: MapTable, name: str) -> np.ndarray:
     parts = _parts(path)
     if len(parts) != 1:
-        raise InputError(f"{path}: has {len(parts)} parts; give a file with the map of {parameter.name} alone")
-    return _stacked(MapTable(parameter.name, (parameter,)), next(iter(parts.values())), path)
+        raise InputError(f"{path}: has {len(parts)} parts; give a file with the map of {name} alone")
+    channels = next(iter(parts.values()))
+    names = next((names for names in (_COLOUR_NAMES, _VECTOR_NAMES, ("Y",)) if names[0] in channels), tuple(channels))
+    values = np.stack([channels[one] for one in names if one in channels], axis=-1).astype(np.float32)
+    return table.channels_of(name, values, str(path))
 
 
 def _side_by_side(path: Path, values: list[np.ndarray]) -> np.ndarray:

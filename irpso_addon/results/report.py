@@ -12,6 +12,7 @@ from ..reflectance.model import Parameter
 from .maps import Maps
 
 _LIMIT_NEAR, _LIMIT_SHARE = 1e-3, 0.1  # relative distance to the limit; fraction of the solved texels
+UNIT_LENGTH = 0.1  # a normal of ground truth whose length differs from 1 by more is none
 _MODES_SHARE = 0.05  # fraction of the solved texels
 
 
@@ -180,7 +181,7 @@ def parameter_error(parameter: Parameter, values: np.ndarray, truth: np.ndarray)
     # atan2 of cross and dot is precise at small angles, arccos of a rounded dot is not.
     cross = np.linalg.norm(np.cross(values, truth), axis=-1)
     angle = np.degrees(np.arctan2(cross, (values * truth).sum(axis=-1)))
-    return np.where(np.abs(length - 1) < 0.1, angle, np.nan)
+    return np.where(np.abs(length - 1) < UNIT_LENGTH, angle, np.nan)
 
 
 def quantiles(values: np.ndarray) -> dict[str, float | int | None]:

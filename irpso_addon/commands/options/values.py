@@ -134,7 +134,7 @@ def fixed_from_options(
         parameter = model.parameter(name.strip())
         numbers = numbers_of_text(value)
         fixed[parameter.name] = (
-            read_parameter(Path(value.strip()), parameter, tiles)
+            read_parameter(Path(value.strip()), model, parameter.name, tiles)
             if numbers is None
             else _fixed_numbers(f"--fixed {text}", numbers, parameter)
         )

@@ -327,7 +327,8 @@ class SessionOverlay:
         key = view.goal.session_uid, parameter.name
         if key not in self._truths:
             try:
-                self._truths[key] = image_map(view.goal, parameter, self.running.domain.shape, self.running.tiles)
+                shape, model = self.running.domain.shape, self.running.job.model
+                self._truths[key] = image_map(view.goal, model, parameter.name, shape, self.running.tiles)
             except InputError as error:
                 _log.warning("no goal is drawn: %s", error)
                 self._truths[key] = None

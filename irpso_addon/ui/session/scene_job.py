@@ -25,6 +25,7 @@ from ...geometry.surface.mesh import MeshData
 from ...geometry.surface.slots import listed, slot_names, slots_of_text
 from ...pipeline.job import Job, LightOptions
 from ...reflectance.model import Parameter, ReflectanceModel, digest_of_own_model
+from ...results.map_tables import MapTable, table_of
 from ...solver.planning.make_plan import scratch_folder
 from ...solver.views.held_out import MIN_OBSERVATIONS, held_out_last, spared
 from ..common.polls import NO_CAPTURE
@@ -38,6 +39,8 @@ from .scene_capture import capture_of, capture_path, has_capture, is_marked, kno
 
 _ROUNDING = 1e-5  # error of a colour's conversion between colour spaces
 _MESH = "mesh"  # origin of a recovery of a mesh
+# Formats without values beyond 0…1. Blender loads 16-bit PNG files as floats.
+_WHOLE_NUMBERS = {"BMP", "JPEG", "JPEG2000", "PNG", "TARGA", "TARGA_RAW", "WEBP"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -187,16 +190,18 @@ def _fixed(settings, model: ReflectanceModel, size: tuple[int, int], tiles: tupl
     """Return the maps of the fixed parameters."""
     items = {item.name: item for item in settings.parameters}
     return {
-        parameter.name: _fixed_map(items[parameter.name], parameter, size, tiles)
+        parameter.name: _fixed_map(items[parameter.name], model, parameter, size, tiles)
         for parameter in model.parameters
         if parameter.name in items and not items[parameter.name].recover
     }
 
 
-def _fixed_map(item, parameter: Parameter, size: tuple[int, int], tiles: tuple[int, ...]) -> np.ndarray:
+def _fixed_map(
+    item, model: ReflectanceModel, parameter: Parameter, size: tuple[int, int], tiles: tuple[int, ...]
+) -> np.ndarray:
     low, high = np.float32(parameter.range)  # Blender keeps 0.02 as 0.0199999996
     if item.image is not None:
-        return image_map(item.image, parameter, size, tiles)
+        return image_map(item.image, model, parameter.name, size, tiles)
     if parameter.is_normal:
         return np.float32((0, 0, 1))
     values = item.color if parameter.components == 3 else [item.value] * parameter.components
@@ -209,19 +214,24 @@ def _fixed_map(item, parameter: Parameter, size: tuple[int, int], tiles: tuple[i
     return values
 
 
-def image_map(image, parameter: Parameter, size: tuple[int, int], tiles: tuple[int, ...] = ONE_SQUARE) -> np.ndarray:
-    """Return (H, W, components) of a Blender image, in the parameter's own units.
+def image_map(
+    image, model: ReflectanceModel, name: str, size: tuple[int, int], tiles: tuple[int, ...] = ONE_SQUARE
+) -> np.ndarray:
+    """Return (H, W, components) of a model's parameter in a Blender image, in the parameter's own units.
 
-    A normal map holds unit vectors, as normal.exr does, or n/2 + 1/2. Parameters other than colours get the file's own
-    numbers, although Blender marks every PNG as sRGB. size: (H, W) of all tiles. tiles: the domain's UDIM tiles, which
-    a tiled image must have. Raises InputError if the image is unreadable or does not fit.
+    The image is the parameter's own, or the map that it shares with others. A normal map holds unit vectors, as
+    normal.exr does, or n/2 + 1/2; a PNG of a range beyond 0…1 holds a fraction of it, as those of a result.
+    Parameters other than colours get the file's own numbers, although Blender marks every PNG as sRGB. size: (H, W) of
+    all tiles. tiles: the domain's UDIM tiles, which a tiled image must have. Raises InputError if the image is
+    unreadable or does not fit.
     """
+    table = table_of(model, name)
     with tile_images(image, tiles) as parts:
         size = size[0], size[1] // len(tiles)
-        return np.concatenate([_tile_map(part, parameter, size) for part in parts], axis=1)
+        return np.concatenate([_tile_map(part, table, model.parameter(name), size) for part in parts], axis=1)
 
 
-def _tile_map(image, parameter: Parameter, size: tuple[int, int]) -> np.ndarray:
+def _tile_map(image, table: MapTable, parameter: Parameter, size: tuple[int, int]) -> np.ndarray:
     height, width = size
     if not image.has_data and not image.size[0]:
         raise InputError(f"image '{image.name}' cannot be read; choose another for {parameter.name}")
@@ -232,9 +242,8 @@ def _tile_map(image, parameter: Parameter, size: tuple[int, int]) -> np.ndarray:
         )
     values = np.empty(width * height * image.channels, np.float32)
     image.pixels.foreach_get(values)
-    values = values.reshape(height, width, image.channels)[..., : parameter.components]
-    if values.shape[-1] < parameter.components:
-        raise InputError(f"image '{image.name}' has {image.channels} channels, {parameter.name} {parameter.components}")
+    values = values.reshape(height, width, image.channels)
+    values = table.channels_of(parameter.name, values, f"image '{image.name}'")
     encoded = use_of(image) == "srgb"  # float pixels are decoded already, by Blender
     if image.is_float and not image.colorspace_settings.is_data and values.shape[-1] == 3:
         values = to_rec_709(values)  # Blender has converted them to the .blend file's working space
@@ -244,7 +253,10 @@ def _tile_map(image, parameter: Parameter, size: tuple[int, int]) -> np.ndarray:
         return _normals(values, image.is_float and not encoded)
     if encoded and not image.is_float and parameter.color_space == "sRGB":
         values = linear_from_srgb(np.maximum(values, 0).astype(np.float64))
-    return np.clip(values, *parameter.range).astype(np.float32)
+    whole = image.source != "GENERATED" and image.file_format in _WHOLE_NUMBERS
+    if whole and parameter.color_space != "sRGB" and not table.fits_unit:
+        values = parameter.range[0] + np.float32(parameter.width) * values
+    return values.astype(np.float32)
 
 
 def _normals(values: np.ndarray, may_be_vectors: bool) -> np.ndarray:

@@ -187,9 +187,10 @@ def test_painted_photographs_and_given_colours_are_linear_rec_709(space):
     image = painted()
     seen = open_photograph(image, "light 'Sun'", ImageStore()).read().rgba[0, 0, :3]
     np.testing.assert_allclose(seen, RED, atol=1e-4)
-    base_color = load_model("principled").parameter("base_color")
-    np.testing.assert_allclose(image_map(image, base_color, (2, 2))[0, 0], RED, atol=1e-4)
+    model = load_model("principled")
+    base_color = model.parameter("base_color")
+    np.testing.assert_allclose(image_map(image, model, "base_color", (2, 2))[0, 0], RED, atol=1e-4)
     item = SimpleNamespace(image=None, color=tuple(space @ RED), value=0.0)
-    np.testing.assert_allclose(_fixed_map(item, base_color, (2, 2), (1001,)), RED, atol=1e-4)
+    np.testing.assert_allclose(_fixed_map(item, model, base_color, (2, 2), (1001,)), RED, atol=1e-4)
     item.color = (1.0, 1.0, 1.0)  # white stays inside the parameter's limits
-    np.testing.assert_allclose(_fixed_map(item, base_color, (2, 2), (1001,)), 1, atol=1e-4)
+    np.testing.assert_allclose(_fixed_map(item, model, base_color, (2, 2), (1001,)), 1, atol=1e-4)

@@ -146,6 +146,26 @@ def test_a_mesh_that_the_photographs_hardly_show_gets_a_warning(seen, card, warn
     assert len(said) == warned and (not warned or "show 9 of the mesh's 100 texels lit" in said[0])
 
 
+@pytest.mark.parametrize("kind", ["encoded", "empty"])
+def test_normals_that_are_none_are_refused_on_a_mesh_as_on_a_card(ball, tmp_path, kind):
+    folder, values = ball
+    normals = values["normal"].astype(np.float32)
+    wrong = 0.5 * normals + 0.5 if kind == "encoded" else np.where(np.indices(normals.shape)[1] < 24, 0, normals)
+    write_exr(tmp_path / "normal.exr", {"": {c: wrong[..., i].astype(np.float32) for i, c in enumerate("RGB")}})
+    command = [
+        "recover", folder / "capture", "--blend", folder / "scene.blend", "--object", "Ball", "--resolution", TEXELS,
+        "--quiet", "-o", tmp_path / "out",
+    ]  # fmt: skip
+    code, _, err = run_cli(*command, "--fixed", f"normal={tmp_path / 'normal.exr'}")
+    assert code == 2 and err.count("\n") == 1 and not (tmp_path / "out").exists()
+    said = "its vectors have the length 1." if kind == "encoded" else "texels of the subject hold the vector 0, 0, 0"
+    assert "fixed normal: " in err and said in err
+    code, _, err = run_cli(*command, "--ground-truth", tmp_path / "normal.exr", "--iterations", 5)
+    report = json.loads((tmp_path / "out" / "report.json").read_text(encoding="utf-8"))
+    whole = report["texels"]
+    assert code == 0 and report["ground_truth"]["normal"]["count"] < (0.1 if kind == "encoded" else 0.8) * whole
+
+
 def test_one_of_the_two_numbers_of_a_grain_is_refused_on_a_mesh(ball, tmp_path):
     folder = ball[0]
     code, _, err = run_cli(

@@ -11,6 +11,7 @@ from irpso_addon.capture.images.exr import write_exr
 from irpso_addon.core.errors import InputError
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.maps import Maps
+from irpso_addon.results.read import read_parameter
 from irpso_addon.results.write import write_maps
 from tests.builders import command_line as cli_maker
 from tests.gpu.blender.test_material import random_maps
@@ -136,17 +137,17 @@ def test_a_mesh_that_is_shaded_smooth_makes_another_domain(job):
     assert job().source != flat
 
 
-def given(name, path, space):
+def given(name, path, space, model="principled"):
     from irpso_addon.ui.session.scene_job import image_map
 
     image = bpy.data.images.load(str(path))
     image.colorspace_settings.name = space
-    return image_map(image, load_model("principled").parameter(name), SHAPE)
+    return image_map(image, load_model(model), name, SHAPE)
 
 
 @pytest.fixture
-def maps(scene, tmp_path):
-    model, random = load_model("principled"), np.random.default_rng(5)
+def maps(scene, tmp_path, request):
+    model, random = load_model(getattr(request, "param", "principled")), np.random.default_rng(5)
     values = {p.name: np.float32(random.uniform(0.1, 0.9, (*SHAPE, p.components))) for p in model.parameters}
     normals = random.normal(size=(*SHAPE, 3)) * 0.5 + (0, 0, 1.5)
     values["normal"] = np.float32(normals / np.linalg.norm(normals, axis=-1, keepdims=True))
@@ -167,6 +168,33 @@ def test_maps_that_were_written_can_be_given_again(maps, file, space):
     name, _, ending = file.partition(".")
     found = given(name, folder / file, space)
     assert np.abs(found - values[name]).max() <= (0 if ending == "exr" else 1e-4)
+
+
+@pytest.mark.parametrize(
+    ("maps", "file", "names"),
+    [
+        ("cook_torrance_two_lobe", "roughness_lobes", ("r1", "r2", "w")),
+        ("anisotropic", "anisotropy", ("stretch", "slant")),  # a PNG of −1…1 holds a fraction of it
+    ],
+    indirect=["maps"],
+)
+@pytest.mark.parametrize(("ending", "tolerance"), [("exr", 0), ("png", 1e-4)])
+def test_numbers_that_share_a_map_are_read_from_their_own_channels(maps, file, names, ending, tolerance):
+    folder, values = maps
+    model = "anisotropic" if "slant" in names else "cook_torrance_two_lobe"
+    for name in names:
+        path = folder / f"{file}.{ending}"
+        assert np.abs(given(name, path, "Non-Color", model) - values[name]).max() <= tolerance
+        if ending == "exr":
+            np.testing.assert_array_equal(read_parameter(path, load_model(model), name), values[name])
+
+
+def test_one_number_of_a_coloured_picture_is_refused(maps):
+    folder, _ = maps
+    with pytest.raises(InputError, match=r"base_color.exr.*its channels differ, and roughness is one number"):
+        given("roughness", folder / "base_color.exr", "Non-Color")
+    with pytest.raises(InputError, match=r"base_color.exr: its channels differ, and roughness is one number"):
+        read_parameter(folder / "base_color.exr", load_model("principled"), "roughness")
 
 
 def test_a_flat_normal_map_is_flat_in_either_way_of_writing(scene, tmp_path):
