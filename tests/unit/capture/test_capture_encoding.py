@@ -91,6 +91,20 @@ def test_the_fall_off_decides_dielectrics_right_and_metals_never_wrong(ball, enc
     assert not [name for name, answer in found.items() if answer not in ("", encoding)], found
 
 
+@pytest.mark.parametrize("power", [0.9, 1.0, 1.2, 1.4])
+def test_srgb_files_under_lamps_that_are_weaker_the_lower_they_stand_are_not_read_as_linear(ball, power):
+    """(n·l) l_z goes with the square of the cosine at a sphere's middle, as linear values do that are decoded."""
+    normals, mask = ball
+    wide = dome_lights(12, 60)
+    for surface in (MATT["white"], MATT["clay"]):
+        images = photographed(surface, wide, normals) * wide[:, 2, None, None, None] ** power
+        codes = encoded(images / images.max(), "srgb")[:, mask] / 255
+        test = encoding_test(codes, (codes < 1).all(axis=-1), wide, np.ones(12))
+        assert test.sure != "linear"
+        stated = encoding_test(codes, (codes < 1).all(axis=-1), wide, wide[:, 2] ** power)
+        assert stated.sure != "linear"
+
+
 def test_a_subject_that_faces_one_way_decides_nothing(ball):
     normals = oracles.unit(ball[0] * (0.15, 0.15, 0) + (0, 0, 1.0))
     for surface in (MATT["white"], OTHERS["metal 0.65"]):
