@@ -117,7 +117,7 @@ def uncalibrated_steps(
     scale = min(1.0, float(np.sqrt(_TEXELS / mask.sum())))
     small = framed(capture, Framing(scale=max(scale, _MIN_SCALE)))
     values, weight = yield from map_steps(_radiance(small), lambda part: _READ_PART * part)
-    steps = shading_steps(values, weight, small.masks[0], seed)
+    steps = shading_steps(values, weight, small.masks[0], seed, [o.name for o in small.observations])
     first = yield from map_steps(steps, lambda part: _READ_PART + (_SHADED_PART - _READ_PART) * part)
     disagreement = float(first.errors.mean())
     apart = f"lights from different parts of the subject differ by {disagreement:.0f}°"

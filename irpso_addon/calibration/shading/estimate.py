@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from itertools import count
 
@@ -40,14 +40,14 @@ class ShadingLights:
 
 
 def shading_steps(
-    values: np.ndarray, weight: np.ndarray, mask: np.ndarray, seed: int = 0
+    values: np.ndarray, weight: np.ndarray, mask: np.ndarray, seed: int = 0, names: Sequence[str] = ()
 ) -> Generator[float, None, ShadingLights]:
     """Yield the fraction done; return the lights of K photographs, in three steps.
 
     The radiance of matt texels factors into lights and scaled normals, up to a 3×3 matrix (``factors``); integrability
     reduces this to a bas-relief transformation, and about equal strengths of the lamps determine that (``ambiguity``).
-    values, weight: (K, P) radiance and weight of the P pixels of a mask (H, W), orthographic. Raises InputError for too
-    few photographs or pixels, or too little relief.
+    values, weight: (K, P) radiance and weight of the P pixels of a mask (H, W), orthographic. names: of the
+    photographs, for errors. Raises InputError for too few photographs or pixels, or too little relief.
     """
     if len(values) < MIN_PHOTOGRAPHS:
         raise InputError(
@@ -63,8 +63,10 @@ def shading_steps(
         )
     lit_by = usable[:, lit].sum(axis=1)
     if lit_by.min() < _MIN_LIT:
+        worst = int(lit_by.argmin())
+        which = f"'{names[worst]}'" if names else f"photograph {worst + 1} of {len(values)}"
         raise InputError(
-            f"photograph {int(lit_by.argmin()) + 1} of {len(values)} lights only {int(lit_by.min())} pixels of the"
+            f"{which} lights only {int(lit_by.min())} pixels of the"
             f" subject without a highlight, {_MIN_LIT} are needed to find its light; leave it out"
         )
     part_of = parts_of(mask, seed)

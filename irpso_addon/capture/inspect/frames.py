@@ -100,8 +100,8 @@ def brightness(frames: Frames) -> str:
     return f"frame means {min(means):.4g} to {max(means):.4g}, {np.mean(frames.clipped):.2%} clipped"
 
 
-def frame_steps(frames: Frames) -> Generator[None, None, list[Finding]]:
-    """Compare the frames of one camera; return the findings."""
+def frame_steps(frames: Frames, intensities: np.ndarray) -> Generator[None, None, list[Finding]]:
+    """Compare the frames of one camera under lights of ``intensities`` (N,); return the findings."""
     shifts = yield from checks.shift_steps(np.stack(frames.crops))
     if max(frames.factors) > 1:
         coarse = yield from checks.shift_steps(np.stack(frames.thumbnails))
@@ -109,10 +109,10 @@ def frame_steps(frames: Frames) -> Generator[None, None, list[Finding]]:
         shifts = np.where(np.abs(coarse).max(axis=1, keepdims=True) > np.abs(shifts).max(axis=1, keepdims=True),
                           coarse, shifts)  # fmt: skip
     yield
-    return list(_frame_findings(frames, shifts))
+    return list(_frame_findings(frames, intensities, shifts))
 
 
-def _frame_findings(frames: Frames, shifts: np.ndarray) -> Iterator[Finding]:
+def _frame_findings(frames: Frames, intensities: np.ndarray, shifts: np.ndarray) -> Iterator[Finding]:
     names = frames.names
     if np.mean(frames.clipped) > _CLIPPED:
         worst = int(np.argmax(frames.clipped))
@@ -121,7 +121,7 @@ def _frame_findings(frames: Frames, shifts: np.ndarray) -> Iterator[Finding]:
             f"{names[worst]}: {frames.clipped[worst]:.1%} of its pixels are clipped, brighter than the file"
             f" can hold ({np.mean(frames.clipped):.1%} of all images'); take the photographs with a shorter exposure",
         )
-    bright = _bright(frames)
+    bright = _bright(frames) / intensities
     for k in np.flatnonzero((bright > 0) & (bright < _UNLIT * np.median(bright)))[:5]:  # exact zeros are said already
         yield Finding(
             "image_black",

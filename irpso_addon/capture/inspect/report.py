@@ -178,7 +178,8 @@ def _image_steps(
     for camera, frames in groups.items():
         if frames.names:
             facts.append((f"brightness{f', {spec.views[camera].name}' * (len(groups) > 1)}", brightness(frames)))
-            findings += yield from _numbered("Comparing images", 0, frame_steps(frames))
+            intensities = np.array([np.mean(capture.observations[n].light.intensity) for n in frames.indices])
+            findings += yield from _numbered("Comparing images", 0, frame_steps(frames, intensities))
             pixels = _some_pixels(frames)
             findings += _geometry_findings(spec, capture, camera, frames, pixels)
             findings += _room_light_findings(capture, frames, pixels)

@@ -180,6 +180,8 @@ def test_a_photograph_without_light_is_named():
     values[6] = 0
     with pytest.raises(InputError, match="photograph 7 of 20 lights only 0 pixels"):
         run_steps(shading_steps(values, every(values), mask))
+    with pytest.raises(InputError, match="'6.jpg' lights only 0 pixels"):
+        run_steps(shading_steps(values, every(values), mask, names=[f"{n}.jpg" for n in range(20)]))
 
 
 def test_a_flat_subject_tells_nothing():

@@ -276,6 +276,10 @@ def test_a_photograph_of_noise_alone_is_reported(tmp_path, light, warned):
     found = report(tmp_path, frames.astype(np.float32))
     assert found.codes == ({"image_black"} if warned else set())
     assert not warned or "005.exr: has 0." in finding(found, "image_black")
+    if light == 0.003:
+        strengths = np.where(np.arange(12) == 5, light, 1.0)
+        np.savetxt(tmp_path / "light_intensities.txt", np.repeat(strengths[:, None], 3, axis=1))
+        assert "image_black" not in inspect_capture(tmp_path).codes
 
 
 @pytest.mark.parametrize("row", [3, 30])
