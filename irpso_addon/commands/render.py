@@ -44,7 +44,7 @@ def run(options: Namespace) -> dict:
     renderers, normal = [], next(p.name for p in model.parameters if p.is_normal)
     shown_count = empty_count = 0
     for bake, camera in zip(bakes, cameras, strict=True):
-        shown = sample_maps(model, values, bake.uv)
+        shown = sample_maps(model, values, bake.uv, len(mesh.tiles))
         shown_count += np.count_nonzero(bake.coverage)
         empty_count += np.count_nonzero(bake.coverage & ~shown[normal].any(axis=-1))
         turned = maps_from_blender(model, shown, mesh, bake)

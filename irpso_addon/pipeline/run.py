@@ -315,16 +315,20 @@ def in_solver_frames(job: Job, bake: GeometryBake, solvable: np.ndarray) -> tupl
     """Return the job's fixed maps and ground truth with normals and grain in the frames of the domain's texels.
 
     solvable: (H, W) bool. Raises InputError for fixed maps that are none, as ``full_map``, before normals get the
-    length 1. Normals of the truth without that length, which say that there is none, stay without a direction.
+    length 1. Normals of the truth without that length, which say that there is none, stay without a direction. Its
+    lobes are in the order in which they are recovered.
     """
+    given = job.truth
+    if given and not {*job.model.ordered} & set(job.fixed):
+        given = job.model.with_ordered_lobes(given)
     if job.mesh is None:
-        return job.fixed, job.truth
+        return job.fixed, given
     normal = next(p.name for p in job.model.parameters if p.is_normal)
     if normal in job.fixed:
         full_map(job.model, normal, job.fixed[normal], solvable)
     turn = partial(maps_from_blender, job.model, mesh=job.mesh, bake=surface_bake(bake))
-    truth = job.truth and turn(values=job.truth)
-    if truth and normal in truth:
-        known = np.abs(np.linalg.norm(np.asarray(present(job.truth)[normal], np.float64), axis=-1) - 1) < UNIT_LENGTH
+    truth = given and turn(values=given)
+    if given and truth and normal in truth:
+        known = np.abs(np.linalg.norm(np.asarray(given[normal], np.float64), axis=-1) - 1) < UNIT_LENGTH
         truth = {**truth, normal: truth[normal] * known[..., None]}
     return turn(values=job.fixed), truth

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -133,6 +133,17 @@ class ReflectanceModel:
         """Return the model without the priors of the named parameters."""
         parameters = tuple(replace(p, prior=None) if p.name in names else p for p in self.parameters)
         return replace(self, parameters=parameters)
+
+    def with_ordered_lobes(self, values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Return maps of the same radiance, with interchangeable lobes in rising order if they have all of them."""
+        result = dict(values)
+        if not self.ordered or not {*self.ordered, *self.complement} <= set(values):
+            return result
+        first, second = (np.asarray(values[name]) for name in self.ordered)
+        result |= dict(zip(self.ordered, (np.minimum(first, second), np.maximum(first, second)), strict=True))
+        for name in self.complement:
+            result[name] = np.where(first > second, 1 - np.asarray(values[name]), values[name])
+        return result
 
     @property
     def components(self) -> int:

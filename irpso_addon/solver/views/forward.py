@@ -118,16 +118,21 @@ def _rendered_in_blocks(
     return images
 
 
-def sample_maps(model: ReflectanceModel, values: Mapping[str, np.ndarray], uv: np.ndarray) -> dict[str, np.ndarray]:
+def sample_maps(
+    model: ReflectanceModel, values: Mapping[str, np.ndarray], uv: np.ndarray, tiles: int = 1
+) -> dict[str, np.ndarray]:
     """Return maps (h, w, components) sampled bilinearly at texture coordinates (H, W, 2); normals are normalised.
 
-    Texel centres lie at (i + ½) / w; outside the outermost centres the border value is repeated.
+    Texel centres lie at (i + ½) / w; outside the outermost centres of a tile the border value is repeated. tiles:
+    number of UDIM tiles side by side.
     """
     height, width = next(iter(values.values())).shape[:2]
-    x = np.clip(uv[..., 0] * width - 0.5, 0, width - 1)
+    first = np.clip((uv[..., 0] * tiles).astype(int), 0, tiles - 1) * (width // tiles)
+    last = first + width // tiles - 1
+    x = np.clip(uv[..., 0] * width - 0.5, first, last)
     y = np.clip(uv[..., 1] * height - 0.5, 0, height - 1)
-    x0, y0 = np.minimum(x.astype(int), max(width - 2, 0)), np.minimum(y.astype(int), max(height - 2, 0))
-    x1, y1 = np.minimum(x0 + 1, width - 1), np.minimum(y0 + 1, height - 1)
+    x0, y0 = np.clip(x.astype(int), first, np.maximum(last - 1, first)), np.minimum(y.astype(int), max(height - 2, 0))
+    x1, y1 = np.minimum(x0 + 1, last), np.minimum(y0 + 1, height - 1)
     fx, fy = (x - x0)[..., None], (y - y0)[..., None]
     sampled = {}
     for parameter in model.parameters:
