@@ -120,10 +120,11 @@ def _coverage_warnings(domain: Domain, maps: Maps) -> list[str]:
 
 
 def _place_warnings(job: Job) -> list[str]:
-    """Return warnings of near lights behind a card, or so far from it that a unit is wrong."""
+    """Return a warning of near lights behind a card."""
     if job.mesh is not None or not near_lights(job.capture):
         return []
-    return [text for _, text in card_problems(job.capture)]
+    # Other problems count in widths of the whole picture; this capture may be a small part of it.
+    return [text for code, text in card_problems(job.capture) if code == "light_behind"]
 
 
 def _overexposed_warnings(domain: Domain, maps: Maps) -> list[str]:
