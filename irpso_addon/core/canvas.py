@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -103,8 +104,9 @@ def _legible(text: str, height: float) -> tuple[str, FreeTypeFont | ImageFont]:
     if bpy := sys.modules.get("bpy"):
         folder = Path(bpy.utils.system_resource("DATAFILES", path="fonts"))
         for path in filter(Path.is_file, (folder / name for name in _BLENDERS)):
-            if not _lacking(_font(height, path), text):
-                return text, _font(height, path)
+            with suppress(OSError):  # a FreeType without WOFF2
+                if not _lacking(_font(height, path), text):
+                    return text, _font(height, path)
     for letter in lacking:
         spelled = spelled.replace(letter, letter.encode("ascii", "backslashreplace").decode("ascii"))
     return spelled, font

@@ -17,7 +17,8 @@ _FILE_STEM = re.compile(r"[A-Za-z0-9_-]+$")
 # Stems of a result's files other than the maps of its model.
 OTHER_FILES = ("maps", "residual", "confidence", "preview", "convergence", "relit", "height", "indirect",
                "normal_object", "normal_world", "normal_directx")  # fmt: skip
-_GREY, _COLOURED = 0.02, 0.01  # parts of a range, and of the texels so far from grey: more, and a picture is coloured
+_ALPHA = 3  # the channel that a picture without alpha has as 1
+_GREY = 0.02  # of a range: channels that are farther apart are no grey
 _RESERVED = {*OTHER_FILES, "coverage", "strip", "live", "repeated"}
 
 
@@ -36,21 +37,23 @@ class MapTable:
     def channels_of(self, name: str, values: np.ndarray, where: str) -> np.ndarray:
         """Return (H, W, components) of one parameter from a picture's channels (H, W, C).
 
-        They are its own if the picture has those of the whole map, else the first. Raises InputError, naming ``where``,
-        if they are too few, or if one number has several channels that differ.
+        They are its own if the picture has those of the whole map, else the first. A grey picture whose alpha is 1 has
+        one. Raises InputError, naming ``where``, if they are too few, or if one number has several that differ.
         """
         at = 0
         parameter = next(p for p in self.parameters if p.name == name)
         if values.shape[-1] >= self.components:
             at = sum(p.components for p in self.parameters[: self.parameters.index(parameter)])
+        if at == _ALPHA and (values[..., at] == 1).all() and not np.ptp(values[..., :at], axis=-1).any():
+            at = 0
         own = values[..., at : at + parameter.components]
         if own.shape[-1] < parameter.components:
             raise InputError(
                 f"{where}: {name} has {parameter.components} channels, the file {values.shape[-1]}; save it as R, G, B"
             )
         if self.components == 1 and values.shape[-1] > 1:
-            apart = np.ptp(values[..., :3], axis=-1)
-            if apart.size and np.quantile(apart, 1 - _COLOURED) > _GREY * parameter.width:
+            apart = np.ptp(values[..., :3], axis=-1)  # the median: margins and backgrounds may be coloured
+            if apart.size and np.median(apart) > _GREY * parameter.width:
                 raise InputError(
                     f"{where}: its channels differ, and {name} is one number; save the channel of {name} alone"
                 )

@@ -71,7 +71,12 @@ def _parameter_of_file(path: Path, table: MapTable, name: str) -> np.ndarray:
     if len(parts) != 1:
         raise InputError(f"{path}: has {len(parts)} parts; give a file with the map of {name} alone")
     channels = next(iter(parts.values()))
-    names = next((names for names in (_COLOUR_NAMES, _VECTOR_NAMES, ("Y",)) if names[0] in channels), tuple(channels))
+    sole = tuple(channels) if len(channels) == 1 else ()
+    names = next(
+        (names for names in (_COLOUR_NAMES, _VECTOR_NAMES, ("Y",), sole) if names and names[0] in channels), ()
+    )
+    if not names:
+        raise InputError(f"{path}: has the channels {', '.join(channels)}; save it as R, G, B")
     values = np.stack([channels[one] for one in names if one in channels], axis=-1).astype(np.float32)
     return table.channels_of(name, values, str(path))
 

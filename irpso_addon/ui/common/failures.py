@@ -16,6 +16,8 @@ from .words import iface
 
 # Options in error messages → what the user sets or does in Blender.
 _SETTINGS = {
+    "--refine-directions (Refine Lights)": "Refine Lights",
+    "--fixed: ": "Maps: ",
     "--distance": "Card Distance",
     "--memory": "Memory Budget",
     "--card-width (Card Width)": "Card Width",

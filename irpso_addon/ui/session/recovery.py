@@ -131,7 +131,10 @@ class Session:
     @property
     def stamp(self) -> str:
         """The stamp of a material with the current maps, "" before the recovery has begun."""
-        return f"{self._uuid} {self.recovery.progress}" if self.recovery is not None else ""
+        if self.recovery is None:
+            return ""
+        at = self.recovery.progress
+        return f"{self._uuid} {at.stage}.{at.iteration} {at.evaluations} {'done' if at.done else 'running'}"
 
     @property
     def kept(self) -> bool:

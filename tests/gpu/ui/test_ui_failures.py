@@ -1,12 +1,17 @@
 """The panel reports failures of timers, draw handlers and modal operators, in words and once."""
 
 import logging
+from dataclasses import replace
 from types import SimpleNamespace
 
 import bpy
+import numpy as np
 import pytest
 
 from irpso_addon.core.errors import InputError
+from irpso_addon.pipeline.job import Job, LightOptions
+from irpso_addon.reflectance.model import load_model
+from irpso_addon.solver.settings.schedule import load_schedule
 from irpso_addon.ui.common import failures
 from irpso_addon.ui.operators import capture_import, recover
 from irpso_addon.ui.overlay import handlers, probes
@@ -14,6 +19,7 @@ from irpso_addon.ui.panels import sidebar as panels
 from irpso_addon.ui.properties import upkeep
 from irpso_addon.ui.session import session
 from tests.builders.captures import write_diligent
+from tests.builders.near_card import near_card
 
 pytestmark = [pytest.mark.bpy_only, pytest.mark.usefixtures("registered")]
 
@@ -97,6 +103,21 @@ def test_options_of_the_command_line_become_words_of_the_panel():
     for text, words in said.items():
         found = failures.message_of(InputError(text))
         assert words in found and "--" not in found
+
+
+@pytest.mark.parametrize("refused", ["lights", "fixed"])
+def test_what_a_job_refuses_is_said_in_the_windows_words(refused, tmp_path):
+    capture, _ = near_card()
+    beams = [replace(shot, light=replace(shot.light, axis=(0, 0, -1), cosine=1.0)) for shot in capture.observations]
+    options = {
+        "lights": {"lights": LightOptions(degrees=2.0), "capture": replace(capture, observations=tuple(beams))},
+        "fixed": {"fixed": {"slant": np.float32([0.5])}, "capture": capture, "mesh": SimpleNamespace()},
+    }[refused]
+    with pytest.raises(InputError) as caught:
+        Job(name="x", model=load_model("anisotropic"), schedule=load_schedule("standard"), seed=0, size=(24, 16),
+            scratch=tmp_path, **options)  # fmt: skip
+    said = failures.message_of(caught.value)
+    assert "--" not in said and said.startswith("Refine Lights: " if refused == "lights" else "Maps: slant is")
 
 
 def test_a_remedy_that_the_window_lacks_is_named_as_one_of_the_command_line():

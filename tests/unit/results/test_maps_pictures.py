@@ -2,10 +2,12 @@
 
 import itertools
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from irpso_addon.core import canvas as canvas_module
 from irpso_addon.core.canvas import Canvas
 from irpso_addon.reflectance.model import Parameter
 from irpso_addon.results.false_color import COLORS, UNCOVERED, false_color
@@ -81,6 +83,22 @@ def test_names_outside_ascii_can_be_told_apart(one, other):
 def test_letters_that_no_font_has_are_written_as_their_codes(monkeypatch):
     monkeypatch.setitem(sys.modules, "bpy", None)
     np.testing.assert_array_equal(inked("真 ± ×.jpg"), inked("\\u771f ± x.jpg"))
+
+
+def test_a_font_that_cannot_be_opened_costs_letters_and_no_picture(monkeypatch):
+    """Pillow's own libraries may lack WOFF2, and pictures are drawn before the maps of a recovery are written."""
+    from PIL import ImageFont
+
+    real = ImageFont.truetype
+
+    def fails(font, *arguments, **options):
+        if isinstance(font, Path):  # Pillow opens its own from memory
+            raise OSError("unknown file format")
+        return real(font, *arguments, **options)
+
+    canvas_module._font.cache_clear()
+    monkeypatch.setattr(ImageFont, "truetype", fails)
+    np.testing.assert_array_equal(inked("真.jpg"), inked("\\u771f.jpg"))
 
 
 def test_a_display_image_encodes_each_kind_of_map():

@@ -8,7 +8,8 @@ import pytest
 from irpso_addon.capture.images.exr import write_exr
 from irpso_addon.core.errors import InputError
 from irpso_addon.reflectance.model import Parameter, ReflectanceModel, load_model
-from irpso_addon.results.read import read_maps
+from irpso_addon.results.map_tables import MapTable
+from irpso_addon.results.read import read_maps, read_parameter
 
 MODEL = ReflectanceModel(
     "coated", "Coated", Path("coated.glsl"),
@@ -44,3 +45,29 @@ def test_normals_of_another_space_are_not_those_of_the_tangent_space(space, tmp_
     write_exr(tmp_path / f"normal_{space}.exr", {f"normal_{space}": turned})
     with pytest.raises(InputError, match=rf"normal_{space}\.exr: holds no map of model lambert"):
         read_maps(tmp_path / f"normal_{space}.exr", load_model("lambert"))
+
+
+@pytest.mark.parametrize("names", ["rgb", ("red", "green", "blue"), ("Combined.R", "Combined.G", "Combined.B")])
+def test_channels_of_other_names_are_refused_and_not_taken_in_their_alphabets_order(names, tmp_path):
+    colour = dict(zip(names, np.float32([0.8, 0.4, 0.1])[:, None, None] * np.ones((4, 4), np.float32), strict=True))
+    write_exr(tmp_path / "colour.exr", {"": colour})
+    with pytest.raises(InputError, match=r"colour.exr: has the channels .*; save it as R, G, B"):
+        read_parameter(tmp_path / "colour.exr", load_model("lambert"), "base_color")
+
+
+def test_a_grey_picture_with_a_coloured_margin_is_one_number(tmp_path):
+    grey = np.random.default_rng(0).uniform(0.2, 0.8, (10, 10)).astype(np.float32)
+    padded = {channel: np.where(np.arange(10) < 3, channel != "G", grey).astype(np.float32) for channel in "RGB"}
+    write_exr(tmp_path / "roughness.exr", {"": padded})
+    found = read_parameter(tmp_path / "roughness.exr", load_model("principled"), "roughness")
+    np.testing.assert_array_equal(found[..., 0], padded["R"])
+
+
+def test_a_grey_picture_is_the_fourth_number_of_a_map_and_its_alpha_is_none():
+    colour = Parameter("paint", components=3, map="paint")
+    table = MapTable("paint", (colour, Parameter("wear", map="paint")))
+    grey = np.full((2, 2, 4), 0.3, np.float32)
+    grey[..., 3] = 1
+    np.testing.assert_array_equal(table.channels_of("wear", grey, "grey"), np.full((2, 2, 1), 0.3, np.float32))
+    own = grey * np.float32([1, 1, 1, 0.6])
+    np.testing.assert_array_equal(table.channels_of("wear", own, "own"), np.full((2, 2, 1), 0.6, np.float32))
