@@ -3,11 +3,11 @@
 import itertools
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from irpso_addon.core import canvas as canvas_module
 from irpso_addon.core.canvas import Canvas
 from irpso_addon.reflectance.model import Parameter
 from irpso_addon.results.false_color import COLORS, UNCOVERED, false_color
@@ -85,7 +85,7 @@ def test_letters_that_no_font_has_are_written_as_their_codes(monkeypatch):
     np.testing.assert_array_equal(inked("真 ± ×.jpg"), inked("\\u771f ± x.jpg"))
 
 
-def test_a_font_that_cannot_be_opened_costs_letters_and_no_picture(monkeypatch):
+def test_a_font_that_cannot_be_opened_costs_letters_and_no_picture(monkeypatch, tmp_path):
     """Pillow's own libraries may lack WOFF2, and pictures are drawn before the maps of a recovery are written."""
     from PIL import ImageFont
 
@@ -96,7 +96,9 @@ def test_a_font_that_cannot_be_opened_costs_letters_and_no_picture(monkeypatch):
             raise OSError("unknown file format")
         return real(font, *arguments, **options)
 
-    canvas_module._font.cache_clear()
+    (tmp_path / "Inter.woff2").touch()
+    bpy = SimpleNamespace(utils=SimpleNamespace(system_resource=lambda *_, **__: str(tmp_path)))
+    monkeypatch.setitem(sys.modules, "bpy", bpy)
     monkeypatch.setattr(ImageFont, "truetype", fails)
     np.testing.assert_array_equal(inked("真.jpg"), inked("\\u771f.jpg"))
 
