@@ -131,12 +131,12 @@ def axis_cosine(whole: Camera, used: Camera) -> float:
 
 def used_pixels(camera: Camera, framing: Framing) -> np.ndarray:
     """Return (H, W) bool, row 0 at the bottom: the pixels whose centre is in the crop or between the known corners."""
-    x, y = np.meshgrid(np.arange(camera.width) + 0.5, camera.height - np.arange(camera.height) - 0.5)
+    x, y = np.arange(camera.width) + 0.5, (camera.height - np.arange(camera.height) - 0.5)[:, None]
     corners = framing.corners
     if framing.crop:
         left, top, width, height = framing.crop
         corners = (left, top), (left + width, top), (left + width, top + height), (left, top + height)
-    used = np.ones(x.shape, bool)
+    used = np.ones((camera.height, camera.width), bool)
     if corners and corners != AUTO:
         places = np.array(corners, np.float64)
         for (ax, ay), (bx, by) in zip(places, np.roll(places, -1, axis=0), strict=True):  # clockwise, with y down
@@ -177,11 +177,14 @@ class _View:
     window: tuple[int, int, int, int] | None = None
     upright: bool = True
 
-    def image(self, rgba: np.ndarray) -> np.ndarray:
-        """Return the framed image (h, w, 4) of an image (H, W, 4); both as of ``Observation.read``."""
+    def image(self, rgba: np.ndarray, mask: np.ndarray) -> np.ndarray:
+        """Return the framed image (h, w, 4) of an image (H, W, 4); both as of ``Observation.read``.
+
+        mask: (H, W) bool. Resampled pixels at its rim are means of the subject alone.
+        """
         if self.window is not None:
             return self._cropped(rgba)
-        mean = self._resampled(rgba, _weighted)
+        mean = self._resampled(rgba.shape, lambda rows: _weighted(rgba[rows], mask[rows]))
         colour = mean[..., :3] / np.maximum(mean[..., 3:4], 1e-12)
         alpha = bounded(np.minimum(mean[..., 3], 1), mean[..., 4:] > _CLIPPED_SHARE)
         return np.concatenate([colour, alpha[..., None]], axis=-1).astype(np.float32)
@@ -190,19 +193,23 @@ class _View:
         """Return the framed mask (h, w) bool of a mask (H, W): pixels that it covers by more than half."""
         if self.window is not None:
             return self._cropped(np.asarray(mask, bool))
-        covered: np.ndarray = self._resampled(np.asarray(mask, np.float32)[..., None], np.asarray)[..., 0] > 0.5
+        values = np.asarray(mask, np.float32)[..., None]
+        covered: np.ndarray = self._resampled(values.shape, lambda rows: values[rows])[..., 0] > 0.5
         return covered
 
     def _cropped(self, image: np.ndarray) -> np.ndarray:
         x, y, width, height = present(self.window)
         return image[y : y + height, x : x + width]
 
-    def _resampled(self, image: np.ndarray, prepared: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-        """Return (h, w, C) means of ``count``² bilinear samples per pixel of ``prepared(image)``."""
+    def _resampled(self, shape: tuple[int, ...], rows_of: Callable[[slice], np.ndarray]) -> np.ndarray:
+        """Return (h, w, C) means of ``count``² bilinear samples per pixel of an image.
+
+        shape: (H, W, …) of the image. rows_of: rows → their values (N, W, C).
+        """
         if self.upright:
-            return self._resampled_by_axes(image, prepared)
+            return self._resampled_by_axes(shape, rows_of)
         width, height, count = self.camera.width, self.camera.height, self.count
-        image = np.ascontiguousarray(prepared(image), np.float32)
+        image = np.ascontiguousarray(rows_of(slice(None)), np.float32)
         out = np.empty((height, width, image.shape[-1]), np.float32)
         x = (np.arange(width * count) + 0.5) / count
         rows = max(1, _BLOCK // (width * count**2))
@@ -214,17 +221,17 @@ class _View:
             out[first:last] = samples.mean(axis=(1, 3))
         return out
 
-    def _resampled_by_axes(self, image: np.ndarray, prepared: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    def _resampled_by_axes(self, shape: tuple[int, ...], rows_of: Callable[[slice], np.ndarray]) -> np.ndarray:
         """Return the result of ``_resampled`` one axis after the other: 4 · count values per pixel, not 4 · count²."""
         count, height = self.count, self.camera.height
         x, y = ((np.arange(size * count) + 0.5) / count for size in (self.camera.width, height))
-        columns = _AxisSamples.at(self.to_original(np.stack([x, x], axis=-1))[:, 0], image.shape[1], count)
-        rows = _AxisSamples.at(self.to_original(np.stack([y, y], axis=-1))[:, 1], image.shape[0], count)
+        columns = _AxisSamples.at(self.to_original(np.stack([x, x], axis=-1))[:, 0], shape[1], count)
+        rows = _AxisSamples.at(self.to_original(np.stack([y, y], axis=-1))[:, 1], shape[0], count)
         parts = []
-        for first in range(0, height, step := max(1, _BLOCK // (image.shape[1] * count))):
+        for first in range(0, height, step := max(1, _BLOCK // (shape[1] * count))):
             band = rows.part(first, first + step)
             low, high = band.low.min(), band.high.max() + 1
-            across = band.means(np.asarray(prepared(image[low:high]), np.float32), low)
+            across = band.means(np.asarray(rows_of(slice(low, high)), np.float32), low)
             parts.append(columns.means(across.swapaxes(0, 1)).swapaxes(0, 1))
         return np.concatenate(parts)
 
@@ -260,11 +267,14 @@ class _AxisSamples:
         return total / np.float32(self.count)
 
 
-def _weighted(rgba: np.ndarray) -> np.ndarray:
-    """Return (h, w, 7): colours times the weight, the weight, and the weight where each channel is clipped."""
+def _weighted(rgba: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Return (h, w, 7): colours times the weight, the weight, and the weight where each channel is clipped.
+
+    mask: (h, w) bool; the weight is 0 outside.
+    """
     weight, clipped = weight_and_clipped(rgba[..., 3])
     finite = np.isfinite(rgba)
-    weight[~(finite[..., 0] & finite[..., 1] & finite[..., 2] & finite[..., 3])] = 0
+    weight[~(mask & finite[..., 0] & finite[..., 1] & finite[..., 2] & finite[..., 3])] = 0
     out = np.empty((*weight.shape, 7), np.float32)
     with np.errstate(invalid="ignore"):  # infinity times 0
         for channel in range(3):  # over an axis of three numpy takes four times as long
@@ -276,12 +286,7 @@ def _weighted(rgba: np.ndarray) -> np.ndarray:
 
 
 def _read(read: Callable[[], np.ndarray], view: _View, mask: np.ndarray) -> np.ndarray:
-    """Return a framed image; resampled pixels at the rim of a mask (H, W) are means of the subject alone."""
-    image = read()
-    if view.window is None and not mask.all():
-        image = image.copy()
-        image[~mask, 3] = 0
-    return view.image(image)
+    return view.image(read(), mask)
 
 
 def _bilinear(image: np.ndarray, places: np.ndarray) -> np.ndarray:

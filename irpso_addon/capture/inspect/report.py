@@ -119,8 +119,9 @@ def inspect_steps(
             capture = replace(capture, card_distance=part.card_distance / cosine)
         findings += [Finding("card_tilted", f"{spec.source}: {text}") for text in part.card_warnings]
         facts += _facts(spec, capture, part)
-        used = (used_pixels(camera, framing) for camera in capture.cameras)
-        capture = replace(capture, masks=tuple(map(np.logical_and, capture.masks, used)))
+        if framing.crop or framing.corners:
+            used = (used_pixels(camera, framing) for camera in capture.cameras)
+            capture = replace(capture, masks=tuple(map(np.logical_and, capture.masks, used)))
     except CaptureError as error:
         findings += _errors(error)
     yield from _encoding_steps(capture, facts, findings)
