@@ -14,7 +14,7 @@ from tests.oracles import reflectance as oracles
 
 SHAPE = (16, 24)  # rows, columns
 DISTANCE = 420.0  # millimetres, like the lamps' positions, 260 from the card's centre
-_LAMPS, _POWER = 260.0 * dome_lights(16, widest=60.0) - (0.0, 0.0, DISTANCE), 1.4 * 260.0**2
+LAMPS, _POWER = 260.0 * dome_lights(16, widest=60.0) - (0.0, 0.0, DISTANCE), 1.4 * 260.0**2
 
 
 def near_card(unit=1.0, camera=None, values=None, **changes):
@@ -25,7 +25,7 @@ def near_card(unit=1.0, camera=None, values=None, **changes):
     points = replace(camera, matrix=np.eye(4)).points(DISTANCE / unit)
     view = oracles.unit(-points) if camera.perspective else np.array([0.0, 0.0, 1.0])
     shots = []
-    for k, place in enumerate(_LAMPS / unit):
+    for k, place in enumerate(LAMPS / unit):
         toward = place - points
         strength = _POWER / unit**2 / (toward**2).sum(axis=-1, keepdims=True)
         radiance = oracles.lambert(values, oracles.unit(toward), view) * strength

@@ -14,7 +14,7 @@ _ROUNDS = 10  # of median polish
 _SHADED = 0.1  # of a texel's median radiance: below, light from elsewhere may have another colour
 _DARK = 0.05  # of the brightest channel: a texel's channel below hardly exceeds the noise
 _LEAST = 50  # samples with which a photograph shows its lamp's colour
-_ALIKE = 0.1  # logarithm: lamps whose channels all differ by less have one colour; gloss changes ratios so much
+_ALIKE, _SURE = 0.1, 5.0  # logarithms, in all and over their scatter: lamps that differ by less have one colour
 
 
 def whitened(radiance: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -34,22 +34,25 @@ def lamp_colours(radiance: np.ndarray, weight: np.ndarray) -> np.ndarray:
     samples = np.where(weight[..., None] > 0, radiance, 0)
     first = int(samples.sum(axis=(0, 1)).argmax())
     over_first = np.zeros((len(radiance), 3))
-    known = np.ones(3, bool)
+    known, spread = np.ones(3, bool), 0.0
     for channel in {0, 1, 2} - {first}:
         ratios = _ratios(samples[..., channel], samples[..., first])
         known[channel] = ratios is not None
-        over_first[:, channel] = 0 if ratios is None else ratios
+        if ratios is not None:
+            over_first[:, channel], spread = ratios[0], max(spread, ratios[1])
     over_first[:, ~known] = over_first[:, known].mean(axis=-1, keepdims=True)
     over_first -= over_first.mean(axis=-1, keepdims=True)
     over_first -= over_first.mean(axis=0)
-    return np.ones_like(over_first) if np.abs(over_first).max() < _ALIKE else np.exp(over_first)
+    one_colour = np.abs(over_first).max() < max(_ALIKE, _SURE * spread)
+    return np.ones_like(over_first) if one_colour else np.exp(over_first)
 
 
-def _ratios(values: np.ndarray, first: np.ndarray) -> np.ndarray | None:
-    """Return (K,) logarithms of the lamps' ratio of two channels (K, T); None if the texels hardly reflect ``values``.
+def _ratios(values: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, float] | None:
+    """Return (K,) logarithms of the lamps' ratio of two channels (K, T), and their scatter over the texels.
 
     The logarithm of the ratio of a matt sample's channels is a sum of the texel's and the lamp's, whatever the shading.
-    Both by median polish (Tukey 1977, Exploratory Data Analysis). 0 for photographs with few samples.
+    Both by median polish (Tukey 1977, Exploratory Data Analysis). Gloss has the lamp's colour in another part of every
+    sample, so its ratios scatter. 0 for photographs with few samples. None if the texels hardly reflect ``values``.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # texels and photographs without samples are NaN
@@ -65,7 +68,8 @@ def _ratios(values: np.ndarray, first: np.ndarray) -> np.ndarray | None:
             left = left - np.nanmedian(left, axis=0)
             step = np.nanmedian(left, axis=1, keepdims=True)
             left, of_lamps = left - step, of_lamps + step
-    return np.where(seen.sum(axis=1) < _LEAST, 0, of_lamps[:, 0])
+        scatter = float(np.nanmedian(np.abs(left)))
+    return np.where(seen.sum(axis=1) < _LEAST, 0, of_lamps[:, 0]), scatter
 
 
 def coloured(lights: Sequence[Light], colours: np.ndarray) -> list[Light]:

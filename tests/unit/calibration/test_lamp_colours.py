@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from irpso_addon.calibration.shading.lamp_colours import lamp_colours, whitened
+from irpso_addon.capture.camera import Camera
 from irpso_addon.capture.types import Light
 from irpso_addon.core.steps import run_steps
 from irpso_addon.pipeline.flat_card import flat_card_steps
 from tests.builders.command_line import smooth_maps
-from tests.builders.near_card import near_card
+from tests.builders.near_card import DISTANCE, LAMPS, near_card
+from tests.oracles import reflectance as oracles
 
 COUNT, TEXELS = 9, 600
 UNLIT = Light((0.0, 0.0, 1.0))
@@ -67,6 +69,23 @@ def test_a_channel_that_the_texels_hardly_reflect_shows_no_colour(blue):
     found = lamp_colours(scene(truth, base=base), weight)
     np.testing.assert_allclose(found[:, 0] / found[:, 1], truth[:, 0] / truth[:, 1], rtol=0.02)
     np.testing.assert_allclose(found[:, 2], np.sqrt(found[:, 0] * found[:, 1]))
+
+
+@pytest.mark.parametrize(("tint", "found"), [(0.0, False), (0.4, True)])
+def test_semi_gloss_of_a_saturated_card_is_no_colour_of_its_lamps(tint, found):
+    """Highlights add white to a red card, more under some lamps: that scatters over the texels, colours do not."""
+    rng, shape = np.random.default_rng(8), (20, 30)
+    base = np.clip(rng.uniform(0.3, 1, (*shape, 1)) * (0.6, 0.05, 0.04), 0, 1)
+    values = {"normal": np.broadcast_to((0.0, 0.0, 1.0), (*shape, 3)), "base_color": base,
+              "roughness": np.full(shape, 0.6), "specular": np.full(shape, 0.5)}  # fmt: skip
+    points = replace(Camera.from_fov(*shape[::-1], 30.0), matrix=np.eye(4)).points(DISTANCE)
+    radiance = []
+    for colour, lamp in zip(colours_of_lamps(tint, len(LAMPS)), LAMPS, strict=True):
+        toward = lamp - points
+        render = oracles.principled(values, oracles.unit(toward), oracles.unit(-points))
+        radiance.append((render * colour / (toward**2).sum(axis=-1, keepdims=True)).reshape(-1, 3))
+    colours = lamp_colours(np.array(radiance), np.ones((len(LAMPS), shape[0] * shape[1])))
+    assert (colours != 1).any() == found
 
 
 def test_near_lamps_of_several_colours_are_found_over_a_coloured_card():
