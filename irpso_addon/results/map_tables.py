@@ -53,7 +53,7 @@ class MapTable:
             )
         if self.components == 1 and values.shape[-1] > 1:
             apart = np.ptp(values[..., :3], axis=-1)  # the median: margins and backgrounds may be coloured
-            if apart.size and np.median(apart) > _GREY * parameter.width:
+            if apart.size and np.median(apart) > _GREY * min(parameter.width, 1.0):
                 raise InputError(
                     f"{where}: its channels differ, and {name} is one number; save the channel of {name} alone"
                 )

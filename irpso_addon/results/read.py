@@ -15,6 +15,7 @@ from .map_tables import OTHER_FILES, MapTable, map_tables, table_of
 
 _COLOUR_NAMES = ("R", "G", "B", "A")
 _VECTOR_NAMES = ("X", "Y", "Z")
+_OTHER_SPACES = ("normal_object", "normal_world", "normal_directx")  # names of a result's files
 
 
 def read_maps(path: str | Path, model: ReflectanceModel, tiles: Sequence[int] = ONE_SQUARE) -> dict[str, np.ndarray]:
@@ -70,14 +71,15 @@ def _parameter_of_file(path: Path, table: MapTable, name: str) -> np.ndarray:
     parts = _parts(path)
     if len(parts) != 1:
         raise InputError(f"{path}: has {len(parts)} parts; give a file with the map of {name} alone")
+    if table.is_normal and path.stem.startswith(_OTHER_SPACES):
+        raise InputError(f"{path}: its normals are those of another space by its name; give normal.exr")
     channels = next(iter(parts.values()))
     sole = tuple(channels) if len(channels) == 1 else ()
-    names = next(
-        (names for names in (_COLOUR_NAMES, _VECTOR_NAMES, ("Y",), sole) if names and names[0] in channels), ()
-    )
+    known = _COLOUR_NAMES, _COLOUR_NAMES[:3], _VECTOR_NAMES, ("R", "G"), ("R",), ("Y",), sole
+    names = next((names for names in known if names and set(names) <= set(channels)), ())
     if not names:
         raise InputError(f"{path}: has the channels {', '.join(channels)}; save it as R, G, B")
-    values = np.stack([channels[one] for one in names if one in channels], axis=-1).astype(np.float32)
+    values = np.stack([channels[one] for one in names], axis=-1).astype(np.float32)
     return table.channels_of(name, values, str(path))
 
 

@@ -38,10 +38,11 @@ class Finding:
 class Frames:
     """Thumbnails and crops of one camera's frames, in grey radiance.
 
-    factors: reduction of the thumbnails' rows and columns. window: rows and columns of the crops. indices: of the
-    observations. clipped: fraction of each frame's masked pixels.
+    box: rows and columns that are looked at; mask: of these. factors: reduction of the thumbnails' rows and columns.
+    window: rows and columns of the crops. indices: of the observations. clipped: part of each frame's masked pixels.
     """
 
+    box: tuple[slice, slice]
     mask: np.ndarray
     factors: tuple[int, int]
     window: tuple[slice, slice]
@@ -52,24 +53,35 @@ class Frames:
     clipped: list[float]
 
 
-def frames_of(capture: Capture, index: int) -> Frames:
-    """Return empty Frames of a camera, reduced so that the crops of all cameras take at most 96 MB."""
-    camera, mask = capture.cameras[index], capture.masks[index]
+def frames_of(capture: Capture, index: int, part: bool = False) -> Frames:
+    """Return empty Frames of a camera, reduced so that the crops of all cameras take at most 96 MB.
+
+    part: look at the rectangle around the mask alone, as where a small part of the photographs is used.
+    """
+    mask = capture.masks[index]
+    box = tuple(_extent(mask.any(axis=axis)) if part else slice(None) for axis in (1, 0))
+    mask = mask[box]
     count = max(1, sum(observation.camera == index for observation in capture.observations))
     affordable = max(16, int((_MEMORY / len(capture.cameras) / count / 4) ** 0.5))
-    factors = _factors((camera.height, camera.width), min(_THUMBNAIL, affordable))
-    return Frames(mask, factors, checks.middle_window(mask, min(_CROP, affordable)), [], [], [], [], [])
+    factors = _factors(mask.shape, min(_THUMBNAIL, affordable))
+    return Frames((box[0], box[1]), mask, factors, checks.middle_window(mask, min(_CROP, affordable)),
+                  [], [], [], [], [])  # fmt: skip
+
+
+def _extent(covered: np.ndarray) -> slice:
+    places = np.flatnonzero(covered)
+    return slice(int(places[0]), int(places[-1]) + 1)
 
 
 def add_frame(frames: Frames, index: int, name: str, samples: Samples) -> Iterator[Finding]:
     """Add one frame's thumbnail and crop to ``frames``; yield the findings of this frame alone."""
-    grey, mask = samples.rgba[..., :3].mean(axis=-1), frames.mask
+    grey, mask, box = samples.rgba[frames.box][..., :3].mean(axis=-1), frames.mask, frames.box
     frames.names.append(name)
     frames.indices.append(index)
     frames.thumbnails.append(shrunk(grey, frames.factors))
     frames.crops.append(grey[frames.window].copy())
-    frames.clipped.append(float(samples.clipped[mask].mean()))
-    bad, negative = int(samples.not_finite[mask].sum()), int(samples.negative[mask].sum())
+    frames.clipped.append(float(samples.clipped[box][mask].mean()))
+    bad, negative = int(samples.not_finite[box][mask].sum()), int(samples.negative[box][mask].sum())
     if bad:
         message = f"{name}: {counted(bad, 'pixel is', 'pixels are')} not a number; they get weight 0, render it again"
         yield Finding("not_finite", message)

@@ -128,7 +128,7 @@ def inspect_steps(
     noise = yield from _numbered("Estimating the noise", images_read(capture), noise_of(capture))
     if noise:
         facts.append(("noise", f"{255 * noise:.1f} codes of 255"))
-    yield from _image_steps(spec, capture, facts, findings)
+    yield from _image_steps(spec, capture, bool(framing.crop or framing.corners), facts, findings)
     return Report(path, tuple(facts), tuple(findings), len(capture.observations), texels, corners)
 
 
@@ -164,10 +164,10 @@ def _encoding_steps(
 
 
 def _image_steps(
-    spec: CaptureSpec, capture: Capture, facts: list[tuple[str, str]], findings: list[Finding]
+    spec: CaptureSpec, capture: Capture, part: bool, facts: list[tuple[str, str]], findings: list[Finding]
 ) -> Generator[str, None, None]:
-    """Append the facts and findings of the images; yield a line before each step."""
-    groups = {camera: frames_of(capture, camera) for camera in range(len(capture.cameras))}
+    """Append the facts and findings of the images; yield a line before each step. part: as of ``frames_of``."""
+    groups = {camera: frames_of(capture, camera, part) for camera in range(len(capture.cameras))}
     for index, observation in enumerate(capture.observations):
         yield f"Checking images: {index + 1} of {len(capture.observations)}"
         try:
