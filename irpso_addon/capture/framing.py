@@ -29,6 +29,7 @@ AUTO = "auto"  # search the corners in the photographs
 Point = tuple[float, float]
 _BLOCK = 1 << 19  # samples resampled at a time
 _CLIPPED_SHARE = 1e-3  # a pixel with a larger clipped share is a lower bound
+_OUTSIDE = 1e-8  # weight of pixels outside the mask
 _TILTED = 5.0  # degrees: of a card, from which on its distance is doubtful
 
 
@@ -180,13 +181,15 @@ class _View:
     def image(self, rgba: np.ndarray, mask: np.ndarray) -> np.ndarray:
         """Return the framed image (h, w, 4) of an image (H, W, 4); both as of ``Observation.read``.
 
-        mask: (H, W) bool. Resampled pixels at its rim are means of the subject alone.
+        mask: (H, W) bool. Resampled pixels at its rim are means of the subject alone; those outside have weight 0 and
+        show the photograph.
         """
         if self.window is not None:
             return self._cropped(rgba)
         mean = self._resampled(rgba.shape, lambda rows: _weighted(rgba[rows], mask[rows]))
         colour = mean[..., :3] / np.maximum(mean[..., 3:4], 1e-12)
-        alpha = bounded(np.minimum(mean[..., 3], 1), mean[..., 4:] > _CLIPPED_SHARE)
+        weight = np.where(mean[..., 3] > 2 * _OUTSIDE, np.minimum(mean[..., 3], 1), 0)
+        alpha = bounded(weight, mean[..., 4:] > _CLIPPED_SHARE)
         return np.concatenate([colour, alpha[..., None]], axis=-1).astype(np.float32)
 
     def mask(self, mask: np.ndarray) -> np.ndarray:
@@ -270,11 +273,12 @@ class _AxisSamples:
 def _weighted(rgba: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """Return (h, w, 7): colours times the weight, the weight, and the weight where each channel is clipped.
 
-    mask: (h, w) bool; the weight is 0 outside.
+    mask: (h, w) bool; outside the weight is so small that it counts only where there is no other.
     """
     weight, clipped = weight_and_clipped(rgba[..., 3])
     finite = np.isfinite(rgba)
-    weight[~(mask & finite[..., 0] & finite[..., 1] & finite[..., 2] & finite[..., 3])] = 0
+    weight[~(finite[..., 0] & finite[..., 1] & finite[..., 2] & finite[..., 3])] = 0
+    weight[~mask] *= _OUTSIDE
     out = np.empty((*weight.shape, 7), np.float32)
     with np.errstate(invalid="ignore"):  # infinity times 0
         for channel in range(3):  # over an axis of three numpy takes four times as long

@@ -33,7 +33,7 @@ from ..solver.planning.make_plan import covered_texels, device_limits, rays_surf
 from ..solver.planning.memory import machine_memory
 from ..solver.planning.plan import within_limits
 from .job import Job
-from .run import READ, Run, in_solver_frames
+from .run import READ, Run, check_fixed_normals, in_solver_frames
 
 Surface = tuple[GeometryBake, SeamMap | None]
 
@@ -164,9 +164,10 @@ def _worker_and_split(ranks: Ranks, options: Namespace, job: Job) -> tuple[Worke
     if options.dry_run:
         return None, division
     partition = _partition(ranks, job, division, present(surface))
-    fixed, _ = ranks.agreed(lambda: in_solver_frames(job, partition.whole.bake, partition.whole.bake.coverage))
+    fixed, _ = ranks.agreed(lambda: in_solver_frames(job, partition.whole.bake))
     worker = Worker(ranks, partition, fixed)
     ranks.agreed(lambda: _check_lit(worker, job))
+    ranks.agreed(lambda: check_fixed_normals(job, worker.domain.solvable))
     return worker, division
 
 

@@ -112,7 +112,8 @@ class Run:
     def open(self) -> Generator[None, None, None]:
         """Read, calibrate lights, plan and prepare the recovery, yielding often. Raises InputError, ShaderError."""
         self.domain = yield from self._timed(READ, self._read())
-        self.fixed, self.truth = in_solver_frames(self.job, self.domain.bake, self.domain.solvable)
+        check_fixed_normals(self.job, self.domain.solvable)
+        self.fixed, self.truth = in_solver_frames(self.job, self.domain.bake)
         if self._wants_lights(self.domain):
             self.lights = yield from self._timed(LIGHTS, self._find_lights(self.domain))
             if self.lights is not None:
@@ -275,7 +276,7 @@ class Run:
         fineness = settings.resolution, settings.rays
         if job.mesh is not None:
             return MeshInterreflection(job.mesh, ray_caster_steps, *fineness, shadowed=job.shadows)
-        normal = next(p.name for p in job.model.parameters if p.is_normal)
+        normal = job.model.normal
         return CardInterreflection(job.capture.cameras[0], normal, ray_caster_steps, *fineness)
 
     def _prepared(self, fitted: Domain, pack: bool) -> Generator[None, None, Prepared]:
@@ -311,21 +312,27 @@ class Run:
             yield
 
 
-def in_solver_frames(job: Job, bake: GeometryBake, solvable: np.ndarray) -> tuple[MapsOf, MapsOf | None]:
+def check_fixed_normals(job: Job, solvable: np.ndarray) -> None:
+    """Raise InputError, as ``full_map``, for fixed normals that are none; ``in_solver_frames`` gives them the length 1.
+
+    solvable: (H, W) bool.
+    """
+    if (normal := job.model.normal) in job.fixed:
+        full_map(job.model, normal, job.fixed[normal], solvable)
+
+
+def in_solver_frames(job: Job, bake: GeometryBake) -> tuple[MapsOf, MapsOf | None]:
     """Return the job's fixed maps and ground truth with normals and grain in the frames of the domain's texels.
 
-    solvable: (H, W) bool. Raises InputError for fixed maps that are none, as ``full_map``, before normals get the
-    length 1. Normals of the truth without that length, which say that there is none, stay without a direction. Its
-    lobes are in the order in which they are recovered.
+    Normals of the truth without the length 1, which say that there is none, stay without a direction. Its lobes are in
+    the order in which they are recovered.
     """
     given = job.truth
     if given and not {*job.model.ordered} & set(job.fixed):
         given = job.model.with_ordered_lobes(given)
     if job.mesh is None:
         return job.fixed, given
-    normal = next(p.name for p in job.model.parameters if p.is_normal)
-    if normal in job.fixed:
-        full_map(job.model, normal, job.fixed[normal], solvable)
+    normal = job.model.normal
     turn = partial(maps_from_blender, job.model, mesh=job.mesh, bake=surface_bake(bake))
     truth = given and turn(values=given)
     if given and truth and normal in truth:

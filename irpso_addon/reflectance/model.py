@@ -129,6 +129,11 @@ class ReflectanceModel:
         names = ", ".join(p.name for p in self.parameters)
         raise InputError(f"model {self.name} has no parameter '{name}'; it has: {names}")
 
+    @property
+    def normal(self) -> str:
+        """The name of the normal."""
+        return next(p.name for p in self.parameters if p.is_normal)
+
     def without_priors(self, names: Collection[str]) -> ReflectanceModel:
         """Return the model without the priors of the named parameters."""
         parameters = tuple(replace(p, prior=None) if p.name in names else p for p in self.parameters)

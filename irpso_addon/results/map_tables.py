@@ -17,7 +17,7 @@ _FILE_STEM = re.compile(r"[A-Za-z0-9_-]+$")
 # Stems of a result's files other than the maps of its model.
 OTHER_FILES = ("maps", "residual", "confidence", "preview", "convergence", "relit", "height", "indirect",
                "normal_object", "normal_world", "normal_directx")  # fmt: skip
-_ALPHA = 3  # the channel that a picture without alpha has as 1
+ALPHA = 3  # the channel that a picture without alpha has as 1
 _GREY = 0.02  # of a range: channels that are farther apart are no grey
 _RESERVED = {*OTHER_FILES, "coverage", "strip", "live", "repeated"}
 
@@ -34,17 +34,20 @@ class MapTable:
         """Number of channels in use."""
         return sum(p.components for p in self.parameters)
 
+    def first_channel(self, name: str) -> int:
+        """Return the index of a parameter's first channel."""
+        index = next(index for index, p in enumerate(self.parameters) if p.name == name)
+        return sum(p.components for p in self.parameters[:index])
+
     def channels_of(self, name: str, values: np.ndarray, where: str) -> np.ndarray:
         """Return (H, W, components) of one parameter from a picture's channels (H, W, C).
 
         They are its own if the picture has those of the whole map, else the first. A grey picture whose alpha is 1 has
         one. Raises InputError, naming ``where``, if they are too few, or if one number has several that differ.
         """
-        at = 0
         parameter = next(p for p in self.parameters if p.name == name)
-        if values.shape[-1] >= self.components:
-            at = sum(p.components for p in self.parameters[: self.parameters.index(parameter)])
-        if at == _ALPHA and (values[..., at] == 1).all() and not np.ptp(values[..., :at], axis=-1).any():
+        at = self.first_channel(name) if values.shape[-1] >= self.components else 0
+        if at == ALPHA and (values[..., at] == 1).all() and not np.ptp(values[..., :at], axis=-1).any():
             at = 0
         own = values[..., at : at + parameter.components]
         if own.shape[-1] < parameter.components:

@@ -33,7 +33,7 @@ def blender_maps(maps: Maps, mesh: MeshData, bake: SurfaceBake, seams: SeamMap |
         return maps
     place, beside, taps, weights = _across(seams, maps.solved)
     turns = _turns(bake, taps, weights, beside)
-    normal = next(p.name for p in maps.model.parameters if p.is_normal)
+    normal = maps.model.normal
     world = world_normals(bake, solved.values[normal]) if normal in values else bake.normal
     across = world.reshape(-1, 3)[taps].astype(np.float64)
     normals = unit(np.einsum("nij,nt,ntj->ni", turns, weights, across))

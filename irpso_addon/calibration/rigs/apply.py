@@ -89,14 +89,14 @@ def apply_steps(
     steps = _lit_steps(store, groups, [rig.spec.observations[lamp].intensity for lamp in lamps],
                        corrections if measured is None else measured.corrections)  # fmt: skip
     lit = yield from map_steps(steps, lambda step: Progress(_CHECKED * step.done, step.what))
-    names = [photograph.file for photograph in rig.photographs]
-    left_out = [f"{_file(groups[k])}: is black, the lamp of {names[lamps[k]]} failed" for k in np.flatnonzero(~lit)]
+    names = distinct([photograph.file for photograph in rig.photographs], [o.name for o in rig.spec.observations])
+    files = _labels(groups)
+    left_out = [f"{files[k]}: is black, the lamp of {names[lamps[k]]} failed" for k in np.flatnonzero(~lit)]
     left_out += [f"{name}: its lamp has no photograph" for n, name in enumerate(names) if n not in lamps]
-    order = sorted(np.flatnonzero(lit), key=lambda k: natural(_file(groups[k])))
+    order = sorted(np.flatnonzero(lit), key=lambda k: natural(files[k]))
     used = [(groups[k], lamps[k]) for k in order]
     spec = _spec(rig, photographs, out, used)
-    applied = Applied({_file(group): names[lamp] for group, lamp in used}, tuple(left_out), warnings,
-                      measured is not None)  # fmt: skip
+    applied = Applied({files[k]: names[lamps[k]] for k in order}, tuple(left_out), warnings, measured is not None)
     report = {"rig": str(rig.path), "photographs": str(photographs), "lamps": applied.lamps, "left_out": left_out}
     if measured is None:
         _write_table(spec, out, space, report, decoder)
@@ -190,7 +190,14 @@ def _picture(image: ImageRef, out: Path, space: str) -> dict[str, str | int]:
 
 def _file(group: ExposureGroup) -> str:
     image = group.images[0]
-    return image.path.name if image.part is None else f"{image.path.name} part {image.part}"
+    inside = [f" {what} {name}" for what, name in (("part", image.part), ("layer", image.layer)) if name is not None]
+    return "".join([image.path.name, *inside])
+
+
+def _labels(groups: Sequence[ExposureGroup]) -> list[str]:
+    """Return a name for each photograph: its file's, or, where files have equal names, with its folder."""
+    return distinct([_file(group) for group in groups],
+                    [f"{group.images[0].path.parent.name}/{_file(group)}" for group in groups])  # fmt: skip
 
 
 def _name(group: ExposureGroup) -> str:

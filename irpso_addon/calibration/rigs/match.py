@@ -28,7 +28,8 @@ def matched(rig: Rig, names: Sequence[str], way: str, where: str) -> list[int]:
     lamps = distinct([Path(photograph.file).stem for photograph in rig.photographs],
                      [observation.name for observation in rig.spec.observations])  # fmt: skip
     for whose, called in ((rig.path, lamps), (where, names)):
-        if twice := next((name for n, name in enumerate(called) if name in called[:n]), None):
+        twice = next((name for n, name in enumerate(called) if name in called[:n]), None)
+        if twice and len(rig.spec.views) > 1:
             raise InputError(
                 f"{whose}: several photographs are called {twice}, as those of two cameras, and nothing says whose is"
                 " whose; give each file a name of its own, as in cam1_01.jpg"

@@ -125,8 +125,8 @@ def samples_of_exr(
     clipped = np.zeros(colour.shape, bool)
     if colour.dtype == np.float16:
         clipped = colour >= _HALF_MAX
-        # At 65504 a few such pixels would be white and all else black in every picture and figure.
-        colour[clipped] = colour[np.isfinite(colour) & ~clipped].max(initial=0) or _HALF_MAX
+        if clipped.any():  # at 65504 a few such pixels would be white and all else black in every picture and figure
+            colour[clipped] = colour[np.isfinite(colour) & ~clipped].max(initial=0) or _HALF_MAX
     if srgb:
         colour = linear_from_srgb(colour.astype(np.float32))
     if matrix is not None:

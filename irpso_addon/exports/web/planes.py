@@ -11,6 +11,7 @@ import numpy as np
 
 from ...reflectance.glsl import material_declaration
 from ...reflectance.model import MAX_COMPONENTS, Parameter, ReflectanceModel
+from ...results.map_tables import ALPHA, table_of
 
 CODES = 4095  # of a normal's u and v
 _HIGHEST = 255
@@ -57,7 +58,11 @@ def layout(model: ReflectanceModel, colours: int) -> str:
         lines.append(
             f"const float {name}[MAX_COMPONENTS] = float[MAX_COMPONENTS]({', '.join(repr(float(x)) for x in numbers)});"
         )
-    encoded = [str(p.color_space == "sRGB").lower() for p in model.parameters for _ in range(p.components)]
+    first = {p.name: table_of(model, p.name).first_channel(p.name) for p in model.parameters}
+    srgb = [
+        p.color_space == "sRGB" and first[p.name] + i < ALPHA for p in model.parameters for i in range(p.components)
+    ]
+    encoded = [str(is_srgb).lower() for is_srgb in srgb]
     padded = ", ".join([*encoded, *["false"] * (MAX_COMPONENTS - count)])
     lines.append(f"const bool SRGB[MAX_COMPONENTS] = bool[MAX_COMPONENTS]({padded});")
     return "\n".join([*lines, material_declaration(model)])

@@ -225,13 +225,13 @@ def _first_estimates(
 
 def normals_of(estimates: Estimates, model: ReflectanceModel, of_next: bool = False) -> np.ndarray:
     """Return the normals (h, w, 3) of the current estimates, or of the next ones, packed."""
-    name = next(p.name for p in model.parameters if p.is_normal)
+    name = model.normal
     return estimates.values(of_next)[name]
 
 
 def adopt_pass(model: ReflectanceModel, defines: Defines) -> Pass:
     """Compile the pass that gives the estimates the normals of u_prefit_0."""
-    normal = next(p.name for p in model.parameters if p.is_normal)
+    normal = model.normal
     packed = declarations.packed(model)
     samplers: Samplers = {"u_estimate": packed, **declarations.GEOMETRY, "u_prefit_0": declarations.FLOAT_2D}
     defines = {**defines, "NORMAL_COMPONENT": model.offset(normal)}

@@ -154,7 +154,7 @@ def shadow_light_pass(model: ReflectanceModel, least: float, turn: float, define
     It reports light that is at least the part ``least`` of a texel's and turns the normal by ``turn`` degrees or more.
     """
     samplers: Samplers = {"u_estimate": packed(model), **OBSERVATIONS, "u_misfit": FLOAT_2D}
-    normal = next(p.name for p in model.parameters if p.is_normal)
+    normal = model.normal
     defines = {
         **defines, "WITH_SHADOW": 1, "NORMAL_COMPONENT": model.offset(normal), "MIN_SHARE": f"{least:.9f}",
         "MIN_TURN": f"{2 * math.sin(math.radians(turn) / 2):.9f}",

@@ -136,7 +136,7 @@ def _highlights(domain: Domain, maps: Maps, k: int, diffuse: np.ndarray) -> np.n
 
 def _diffuse(domain: Domain, maps: Maps) -> tuple[ReflectanceModel, dict[str, np.ndarray]]:
     """Return the model lambert, and its values: the base colours times 1 − metallic."""
-    normal = next(p.name for p in maps.model.parameters if p.is_normal)
+    normal = maps.model.normal
     diffuse = np.zeros((*domain.shape, 3), np.float32)
     for parameter in maps.model.parameters:
         if parameter.is_albedo:

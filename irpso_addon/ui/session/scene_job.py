@@ -25,7 +25,7 @@ from ...geometry.surface.mesh import MeshData
 from ...geometry.surface.slots import listed, slot_names, slots_of_text
 from ...pipeline.job import Job, LightOptions
 from ...reflectance.model import Parameter, ReflectanceModel, digest_of_own_model
-from ...results.map_tables import MapTable, table_of
+from ...results.map_tables import ALPHA, MapTable, table_of
 from ...solver.planning.make_plan import scratch_folder
 from ...solver.views.held_out import MIN_OBSERVATIONS, held_out_last, spared
 from ..common.polls import NO_CAPTURE
@@ -251,8 +251,14 @@ def _tile_map(image, table: MapTable, parameter: Parameter, size: tuple[int, int
         values = srgb_from_linear(values)
     if parameter.is_normal:
         return _normals(values, image.is_float and not encoded)
-    if encoded and not image.is_float and parameter.color_space == "sRGB":
-        values = linear_from_srgb(np.maximum(values, 0).astype(np.float64))
+    if (
+        encoded
+        and not image.is_float
+        and parameter.color_space == "sRGB"
+        and table.first_channel(parameter.name) < ALPHA
+    ):
+        colours = linear_from_srgb(np.maximum(values[..., :ALPHA], 0).astype(np.float64))
+        values = np.concatenate([colours, values[..., ALPHA:]], axis=-1)  # no curve applies to alpha
     whole = image.source != "GENERATED" and image.file_format in _WHOLE_NUMBERS
     if whole and parameter.color_space != "sRGB" and not table.fits_unit:
         values = parameter.range[0] + np.float32(parameter.width) * values

@@ -150,10 +150,38 @@ def test_equal_file_names_of_two_cameras_are_separated_by_names_of_their_own_or_
             assert code == 2 and "several photographs are called 0.exr" in err
             continue
         assert (code, err) == (0, "")
+        report = json.loads((tmp_path / "out True" / "report.json").read_text())
+        assert report["lamps"] == {f"cam{c}/{n}.exr": f"cam{c} {n}" for c, n in order}
         for shot in read_spec(tmp_path / "out True").observations:
             camera, lamp = (int(part.removeprefix("cam")) for part in shot.image.path.with_suffix("").parts[-2:])
             assert shot.camera == camera - 1
             np.testing.assert_allclose(np.array(shot.vector) / shot.vector[2] * 2, [camera, lamp, 2], atol=1e-6)
+
+
+def test_a_folder_for_each_lamp_of_one_camera_keeps_its_order(tmp_path):
+    rows = []
+    for lamp in range(3):
+        image = tmp_path / "lamps" / f"lamp{lamp}" / "shot.exr"
+        image.parent.mkdir(parents=True)
+        write_exr(image, {"": {channel: np.full((SIZE, SIZE), 0.4, np.float32) for channel in "RGB"}})
+        rows.append(f'[[observation]]\nimage = "lamp{lamp}/shot.exr"\nlight_direction = [{lamp}, 0, 2]\n')
+    (tmp_path / "lamps" / "capture.toml").write_text(f"format = 1\n[[camera]]\n{''.join(rows)}")
+    assert run_cli("rig", "save", tmp_path / "lamps", "-o", tmp_path / "rig", "--quiet")[0] == 0
+    command = (
+        "rig",
+        "apply",
+        tmp_path / "rig",
+        tmp_path / "lamps",
+        "-o",
+        tmp_path / "out",
+        "--match",
+        "order",
+        "--quiet",
+    )
+    assert run_cli(*command)[::2] == (0, "")
+    for lamp, shot in enumerate(read_spec(tmp_path / "out").observations):
+        assert shot.image.path.parent.name == f"lamp{lamp}"
+        np.testing.assert_allclose(np.array(shot.vector) / shot.vector[2] * 2, [lamp, 0, 2], atol=1e-6)
 
 
 def test_photographs_keep_their_own_colour_space(plain_rig, later, tmp_path):

@@ -123,6 +123,9 @@ def test_texels_at_the_rim_of_a_mask_show_the_subject_alone(background, turned):
         seen = part.observations[0].read()[part.masks[0]]
         np.testing.assert_allclose(seen[:, :3], 0.4, rtol=1e-5)
         assert seen[:, 3].min() > 0.5 and seen[:, 3].max() == pytest.approx(1)
+        if not turned:  # pixels beside the subject have no weight and show the photograph
+            corner = part.observations[0].read()[0, 0]
+            np.testing.assert_allclose(corner, [*[background] * 3, 0], rtol=1e-5)
 
 
 def test_scale_that_divides_nothing_keeps_the_mean_and_the_camera():
