@@ -36,7 +36,7 @@ from .run import Run
 _NO_EXTRAS = DerivedMaps()
 _OBLONG = 0.005  # relative difference of the sides of a pixel
 _MIN_SEEN = 0.1  # of the mesh's texels: with fewer, the mesh probably stands elsewhere
-_SAMPLED, _MIN_OVEREXPOSED = 1 << 16, 1e-3  # texels that are looked at; part of the subject that is warned of
+_SAMPLED, _MIN_OVEREXPOSED = 1 << 12, 1e-3  # texels that are looked at; part of the subject that is warned of
 _UNSTATED = (1.0, 1.0, 1.0)  # the intensity of lights in a capture that states none
 
 

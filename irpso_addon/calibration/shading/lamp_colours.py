@@ -13,6 +13,7 @@ from ...capture.types import Light, triple
 _ROUNDS = 10  # of median polish
 _SHADED = 0.1  # of a texel's median radiance: below, light from elsewhere may have another colour
 _DARK = 0.05  # of the brightest channel: a texel's channel below hardly exceeds the noise
+_GROUPS = 16  # of texels
 _LEAST = 50  # samples with which a photograph shows its lamp's colour
 _ALIKE, _SURE = 0.1, 5.0  # logarithms, in all and over their scatter: lamps that differ by less have one colour
 
@@ -48,7 +49,7 @@ def lamp_colours(radiance: np.ndarray, weight: np.ndarray) -> np.ndarray:
 
 
 def _ratios(values: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, float] | None:
-    """Return (K,) logarithms of the lamps' ratio of two channels (K, T), and their scatter over the texels.
+    """Return (K,) logarithms of the lamps' ratio of two channels (K, T), and their scatter over parts of the subject.
 
     The logarithm of the ratio of a matt sample's channels is a sum of the texel's and the lamp's, whatever the shading.
     Both by median polish (Tukey 1977, Exploratory Data Analysis). Gloss has the lamp's colour in another part of every
@@ -68,7 +69,8 @@ def _ratios(values: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, float] |
             left = left - np.nanmedian(left, axis=0)
             step = np.nanmedian(left, axis=1, keepdims=True)
             left, of_lamps = left - step, of_lamps + step
-        scatter = float(np.nanmedian(np.abs(left)))
+        groups = np.array_split(left, _GROUPS, axis=1)  # neighbours, as of noise little is left in their medians
+        scatter = float(np.nanmedian(np.abs([np.nanmedian(group, axis=1) for group in groups])))
     return np.where(seen.sum(axis=1) < _LEAST, 0, of_lamps[:, 0]), scatter
 
 

@@ -117,7 +117,7 @@ def samples_of_exr(
 ) -> Samples:
     """Return the samples of an EXR part; half values at their largest (65504) or infinite count as clipped.
 
-    Their lower bound is the largest smaller value of the part, 65504 if none is above 0. Alpha becomes the weight.
+    Their lower bound is the part's largest value below 65504, or 65504 if none is above 0. Alpha becomes the weight.
     Pixels outside the data window have weight 0. matrix: (3, 3), from the file's RGB to Rec. 709, or None if the file
     holds Rec. 709. srgb: its values have the curve of sRGB.
     """

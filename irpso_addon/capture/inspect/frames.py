@@ -113,7 +113,7 @@ def brightness(frames: Frames) -> str:
 
 
 def frame_steps(frames: Frames, intensities: np.ndarray) -> Generator[None, None, list[Finding]]:
-    """Compare the frames of one camera under lights of ``intensities`` (N,); return the findings."""
+    """Compare the frames of one camera under lights of ``intensities`` (N,), NaN behind the subject."""
     shifts = yield from checks.shift_steps(np.stack(frames.crops))
     if max(frames.factors) > 1:
         coarse = yield from checks.shift_steps(np.stack(frames.thumbnails))
@@ -134,10 +134,11 @@ def _frame_findings(frames: Frames, intensities: np.ndarray, shifts: np.ndarray)
             f" can hold ({np.mean(frames.clipped):.1%} of all images'); take the photographs with a shorter exposure",
         )
     bright = _bright(frames) / intensities
-    for k in np.flatnonzero((bright > 0) & (bright < _UNLIT * np.median(bright)))[:5]:  # exact zeros are said already
+    usual = np.nanmedian(bright) if np.isfinite(bright).any() else 0
+    for k in np.flatnonzero((bright > 0) & (bright < _UNLIT * usual))[:5]:  # exact zeros are said already
         yield Finding(
             "image_black",
-            f"{names[k]}: has {bright[k] / np.median(bright):.1%} of the other photographs' light; if its lamp did not"
+            f"{names[k]}: has {bright[k] / usual:.1%} of the other photographs' light; if its lamp did not"
             " fire, take it and its light out of the list",
         )
     thumbnails = np.stack(frames.thumbnails)

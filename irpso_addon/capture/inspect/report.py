@@ -179,12 +179,19 @@ def _image_steps(
     for camera, frames in groups.items():
         if frames.names:
             facts.append((f"brightness{f', {spec.views[camera].name}' * (len(groups) > 1)}", brightness(frames)))
-            intensities = np.array([np.mean(capture.observations[n].light.intensity) for n in frames.indices])
+            intensities = _intensities(capture, camera, frames)
             findings += yield from _numbered("Comparing images", 0, frame_steps(frames, intensities))
             pixels = _some_pixels(frames)
             findings += _geometry_findings(spec, capture, camera, frames, pixels)
             findings += _room_light_findings(capture, frames, pixels)
     findings += _place_findings(spec, capture, groups[0])
+
+
+def _intensities(capture: Capture, camera: int, frames: Frames) -> np.ndarray:
+    """Return (N,) the mean intensities of the frames' lights; NaN of distant ones behind the subject."""
+    lights = [capture.observations[index].light for index in frames.indices]
+    behind = [light.distant and np.dot(light.vector, capture.cameras[camera].backward) <= 0 for light in lights]
+    return np.where(behind, np.nan, [np.mean(light.intensity) for light in lights])
 
 
 def _room_light_findings(capture: Capture, frames: Frames, pixels: np.ndarray) -> Iterator[Finding]:

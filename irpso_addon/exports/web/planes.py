@@ -11,7 +11,7 @@ import numpy as np
 
 from ...reflectance.glsl import material_declaration
 from ...reflectance.model import MAX_COMPONENTS, Parameter, ReflectanceModel
-from ...results.map_tables import ALPHA, table_of
+from ...results.map_tables import ALPHA
 
 CODES = 4095  # of a normal's u and v
 _HIGHEST = 255
@@ -58,14 +58,21 @@ def layout(model: ReflectanceModel, colours: int) -> str:
         lines.append(
             f"const float {name}[MAX_COMPONENTS] = float[MAX_COMPONENTS]({', '.join(repr(float(x)) for x in numbers)});"
         )
-    first = {p.name: table_of(model, p.name).first_channel(p.name) for p in model.parameters}
     srgb = [
-        p.color_space == "sRGB" and first[p.name] + i < ALPHA for p in model.parameters for i in range(p.components)
+        p.color_space == "sRGB" and _first_channel(model, p) + i < ALPHA
+        for p in model.parameters
+        for i in range(p.components)
     ]
     encoded = [str(is_srgb).lower() for is_srgb in srgb]
     padded = ", ".join([*encoded, *["false"] * (MAX_COMPONENTS - count)])
     lines.append(f"const bool SRGB[MAX_COMPONENTS] = bool[MAX_COMPONENTS]({padded});")
     return "\n".join([*lines, material_declaration(model)])
+
+
+def _first_channel(model: ReflectanceModel, parameter: Parameter) -> int:
+    """Return the index of a parameter's first channel in the map that it shares with those before it."""
+    before = model.parameters[: model.parameters.index(parameter)]
+    return sum(p.components for p in before if parameter.map and p.map == parameter.map)
 
 
 def components_of(model: ReflectanceModel, values: dict[str, np.ndarray], shape: tuple[int, int]) -> np.ndarray:
