@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..capture.images.exr import read_exr
+from ..capture.images.exr import matrix_to_rec_709, read_exr
+from ..capture.images.exr_header import read_exr_header
 from ..core.errors import InputError
 from ..core.udim import ONE_SQUARE, PATTERN, tile_files
 from ..reflectance.model import ReflectanceModel
@@ -23,8 +24,8 @@ def read_maps(path: str | Path, model: ReflectanceModel, tiles: Sequence[int] = 
     A file of several parts has one map per part, by name (our maps.exr); a file of one part has the map that
     names its part, else the map of the longest name with which the file's name begins, such as ``normal_gt.exr``.
     tiles: UDIM tiles, side by side from the left; each has its own file, with its number in the name, or <UDIM> in
-    ``path``. Raises InputError if a file has none of the model's maps, is missing, or differs from the others in size
-    or maps.
+    ``path``. Colours of a file that states other primaries become linear Rec. 709. Raises InputError if a file has none
+    of the model's maps, is missing, in an unknown colour space, or differs from the others in size or maps.
     """
     path = Path(path)
     if path.is_dir():
@@ -46,7 +47,7 @@ def _maps_of_file(path: Path, model: ReflectanceModel) -> dict[str, np.ndarray]:
     values: dict[str, np.ndarray] = {}
     for name, table in tables.items():
         if name in parts:
-            values |= _split(table, _stacked(table, parts[name], path))
+            values |= _split(table, _in_rec_709(table, _stacked(table, parts[name], path), path, name))
     if not values:
         names = ", ".join(tables)
         raise InputError(
@@ -73,7 +74,7 @@ def _parameter_of_file(path: Path, table: MapTable, name: str) -> np.ndarray:
     channels = next(iter(parts.values()))
     names = next((names for names in (_COLOUR_NAMES, _VECTOR_NAMES, ("Y",)) if names[0] in channels), tuple(channels))
     values = np.stack([channels[one] for one in names if one in channels], axis=-1).astype(np.float32)
-    return table.channels_of(name, values, str(path))
+    return table.channels_of(name, _in_rec_709(table, values, path), str(path))
 
 
 def _side_by_side(path: Path, values: list[np.ndarray]) -> np.ndarray:
@@ -98,6 +99,18 @@ def _stacked(table: MapTable, channels: Mapping[str, np.ndarray], path: Path) ->
         return next(iter(channels.values()))[..., None].astype(np.float32)
     available = ", ".join(channels)
     raise InputError(f"{path}: the map {table.name} has {count} channels, the file has {available}; save it as R, G, B")
+
+
+def _in_rec_709(table: MapTable, values: np.ndarray, path: Path, name: str = "") -> np.ndarray:
+    """Return a map's values (H, W, C), colours as linear Rec. 709. name: of the file's part, if it has several."""
+    if table.color_space != "sRGB" or table.components < 3 or values.shape[-1] < 3:
+        return values
+    parts = read_exr_header(path)
+    part = next(part for part in parts if len(parts) == 1 or part.name == name)
+    matrix = matrix_to_rec_709(part, _COLOUR_NAMES[:3], str(path))
+    if matrix is None:
+        return values
+    return np.concatenate([values[..., :3] @ matrix.T, values[..., 3:]], axis=-1).astype(np.float32)
 
 
 def _split(table: MapTable, values: np.ndarray) -> dict[str, np.ndarray]:

@@ -3,12 +3,13 @@
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 import pytest
 
 from irpso_addon.capture.images.exr import write_exr
 from irpso_addon.core.errors import InputError
 from irpso_addon.reflectance.model import Parameter, ReflectanceModel, load_model
-from irpso_addon.results.read import read_maps
+from irpso_addon.results.read import read_maps, read_parameter
 
 MODEL = ReflectanceModel(
     "coated", "Coated", Path("coated.glsl"),
@@ -44,3 +45,21 @@ def test_normals_of_another_space_are_not_those_of_the_tangent_space(space, tmp_
     write_exr(tmp_path / f"normal_{space}.exr", {f"normal_{space}": turned})
     with pytest.raises(InputError, match=rf"normal_{space}\.exr: holds no map of model lambert"):
         read_maps(tmp_path / f"normal_{space}.exr", load_model("lambert"))
+
+
+# ACEScg (Academy S-2014-004) to linear sRGB, of the Academy's OpenColorIO configuration.
+ACES_CG = (0.713, 0.293, 0.165, 0.830, 0.128, 0.044, 0.32168, 0.33767)
+MATRIX = np.array([(1.70505, -0.62179, -0.08326), (-0.13026, 1.14080, -0.01055), (-0.02400, -0.12897, 1.15297)])
+
+
+@pytest.mark.parametrize("stated", [{"chromaticities": ACES_CG}, {"colorInteropID": "lin_ap1_scene"}])
+def test_colours_of_stated_primaries_become_rec_709_and_other_maps_stay(stated, tmp_path):
+    values = np.random.default_rng(4).uniform(0.2, 0.9, (4, 6, 3)).astype(np.float32)
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **stated}
+    for name in ("base_color", "normal"):
+        OpenEXR.File(header, {"RGB": np.ascontiguousarray(values[::-1])}).write(str(tmp_path / f"{name}.exr"))
+    model, path = load_model("lambert"), tmp_path / "base_color.exr"
+    for found in (read_maps(path, model)["base_color"], read_parameter(path, model, "base_color")):
+        np.testing.assert_allclose(found, values @ MATRIX.T, atol=3e-5)
+        assert found.dtype == np.float32
+    np.testing.assert_array_equal(read_maps(tmp_path / "normal.exr", model)["normal"], values)
