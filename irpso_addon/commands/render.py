@@ -22,14 +22,15 @@ from ..exports.result import model_of_result
 from ..geometry.surface.bake import bake_camera
 from ..gpu import context, probe
 from ..reflectance.model import ReflectanceModel, load_model
-from ..results.read import read_maps
+from ..results.read import read_maps, unknown_maps
 from ..solver.views.forward import camera_renderer, dome, rendered_capture, sample_maps
 from .options.values import silent, size_option, warn
 
 
 def run(options: Namespace) -> dict:
     """Render every camera under every light and write the capture. Raises InputError."""
-    model = load_model(options.model) if options.model else model_of_result(options.maps) or load_model(DEFAULT_MODEL)
+    stated = load_model(options.model) if options.model else model_of_result(options.maps)
+    model = stated or load_model(DEFAULT_MODEL)
     size = size_option("--size", options.size)
     lights = _lights(options)
     check_unused(Path(options.output), "choose a new folder for the capture")
@@ -38,6 +39,8 @@ def run(options: Namespace) -> dict:
     open_blend(options.blend)
     mesh = extract_mesh(mesh_object(options.object))
     values = complete_maps(read_maps(options.maps, model, mesh.tiles), model)
+    if stated is None and (names := unknown_maps(options.maps, model, mesh.tiles)):
+        warn([f"{options.maps}: {', '.join(names)}: model {model.name} has no such maps; give theirs by --model"])
     cameras = scene_cameras(options.camera, size)
     bar = ProgressBar("render", silent(options))
     bakes = [bake_camera(mesh, camera) for camera in cameras]

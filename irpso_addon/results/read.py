@@ -28,13 +28,29 @@ def read_maps(path: str | Path, model: ReflectanceModel, tiles: Sequence[int] = 
     of the model's maps, is missing, in an unknown colour space, or differs from the others in size or maps.
     """
     path = Path(path)
-    if path.is_dir():
-        one = tuple(tiles) == ONE_SQUARE and (path / "maps.exr").is_file()
-        path = path / ("maps.exr" if one or not any(path.glob("maps.[12]???.exr")) else f"maps.{PATTERN}.exr")
-    maps = [_maps_of_file(file, model) for file in tile_files(path, tiles)]
+    maps = [_maps_of_file(file, model) for file in _files(path, tiles)]
     if any(set(values) != set(maps[0]) for values in maps):
         raise InputError(f"{path}: the files of its UDIM tiles hold different maps; write all of them again")
     return {name: _side_by_side(path, [values[name] for values in maps]) for name in maps[0]}
+
+
+def unknown_maps(path: str | Path, model: ReflectanceModel, tiles: Sequence[int] = ONE_SQUARE) -> list[str]:
+    """Return the names of the maps, in a file of several parts, that the model does not have; they are not read.
+
+    path, tiles: as in ``read_maps``, which reports files that cannot be read.
+    """
+    parts = read_exr_header(_files(Path(path), tiles)[0])
+    known = {"coverage", "residual", *(table.name for table in map_tables(model))}
+    names = [part.name for part in parts if part.name not in known and not part.name.startswith("confidence_")]
+    return names if len(parts) > 1 else []
+
+
+def _files(path: Path, tiles: Sequence[int]) -> list[Path]:
+    """Return the file of each tile of a result's folder, or of a path as in ``tile_files``. Raises InputError."""
+    if path.is_dir():
+        one = tuple(tiles) == ONE_SQUARE and (path / "maps.exr").is_file()
+        path = path / ("maps.exr" if one or not any(path.glob("maps.[12]???.exr")) else f"maps.{PATTERN}.exr")
+    return tile_files(path, tiles)
 
 
 def _maps_of_file(path: Path, model: ReflectanceModel) -> dict[str, np.ndarray]:

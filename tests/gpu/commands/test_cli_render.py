@@ -1,0 +1,72 @@
+"""``render``: which maps it takes, refuses and warns of, on a square that fills its UV square and the picture."""
+
+import json
+
+import numpy as np
+import pytest
+
+from irpso_addon.capture.images.exr import write_exr
+from tests.builders import command_line as cli_maker
+from tests.builders.command_line import read_map, run_cli
+
+SIDE = 8
+CORNERS = [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]
+BASE = np.full((SIDE, SIDE, 3), 0.5, np.float32)
+NORMAL = np.broadcast_to(np.float32([0, 0, 1]), (SIDE, SIDE, 3))
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("scene")
+    np.savetxt(folder / "lights.txt", [(0.5, 0.2, 1)])
+
+    def square(bpy):
+        cli_maker.add_mesh(bpy, "Square", CORNERS, [(0, 1, 2, 3)], [(0, 0), (1, 0), (1, 1), (0, 1)])
+        cli_maker.add_camera(bpy, type="ORTHO", ortho_scale=2.0)
+
+    cli_maker.save_scene(folder / "scene.blend", square)
+    return folder
+
+
+def write_parts(path, parts):
+    """Write name → (H, W, C) as parts of an EXR; return its path."""
+    channels = {name: "Y" if value.shape[-1] == 1 else "RGB" for name, value in parts.items()}
+    split = {n: {c: np.float32(parts[n][..., i]) for i, c in enumerate(names)} for n, names in channels.items()}
+    write_exr(path, split)
+    return path
+
+
+def render(scene, maps, out, *words):
+    """Return exit code and standard error of ``render`` under one light."""
+    code, _, err = run_cli(
+        "render", maps, "--blend", scene / "scene.blend", "--lights", scene / "lights.txt",
+        "--size", f"{SIDE}x{SIDE}", "-o", out, "--quiet", *words,
+    )  # fmt: skip
+    return code, err
+
+
+def grain(value):
+    """A third channel, of zeros, as a result's maps of two numbers have."""
+    return np.broadcast_to(np.float32([*value, 0]), (SIDE, SIDE, 3))
+
+
+def test_a_file_of_a_result_is_rendered_with_the_result_s_model(scene, tmp_path):
+    result = tmp_path / "result"
+    result.mkdir()
+    parts = {"base_color": BASE, "normal": NORMAL, "anisotropy": grain((0.2, 0.6)), "coverage": BASE[..., :1]}
+    write_parts(result / "maps.exr", parts)
+    (result / "report.json").write_text(json.dumps({"model": "anisotropic", "files": ["maps.exr"]}), encoding="utf-8")
+    pictures = []
+    for maps, name in ((result, "a"), (result / "maps.exr", "b")):
+        assert render(scene, maps, tmp_path / name) == (0, "")
+        pictures.append(read_map(tmp_path / name / "000.exr"))
+    np.testing.assert_array_equal(*pictures)
+
+
+def test_maps_that_the_default_model_lacks_are_warned_of(scene, tmp_path):
+    parts = {"base_color": BASE, "normal": NORMAL, "anisotropy": grain((0.2, 0.6)), "coverage": BASE[..., :1]}
+    maps = write_parts(tmp_path / "other.exr", parts)
+    code, err = render(scene, maps, tmp_path / "out")
+    said = "irpso: warning: {}: anisotropy: model metallic_roughness has no such maps; give theirs by --model\n"
+    assert (code, err) == (0, said.format(maps))
+    assert render(scene, maps, tmp_path / "stated", "--model", "lambert") == (0, "")
