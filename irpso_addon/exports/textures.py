@@ -103,7 +103,7 @@ CONVENTIONS: dict[str, tuple[str, tuple[_Texture, ...]]] = {
             _Texture("_S", _SPECULAR.pixels), _Texture("_H", _HEIGHT.pixels, 16),
         ),
     ),
-    "unity": ("", (_Texture("_BaseMap", _BASE.pixels), _NORMAL, _MASK, _HEIGHT)),
+    "unity": ("", (_Texture("_BaseMap", _BASE.pixels), _NORMAL, _MASK, _SPECULAR, _HEIGHT)),
     "substance": (
         "",
         (
