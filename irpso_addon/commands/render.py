@@ -23,7 +23,8 @@ from ..geometry.surface.bake import bake_camera
 from ..gpu import context, probe
 from ..reflectance.model import ReflectanceModel, load_model
 from ..results.read import read_maps, unknown_maps
-from ..solver.views.forward import camera_renderer, dome, rendered_capture, sample_maps
+from ..solver.settings.fixed import check_map
+from ..solver.views.forward import camera_renderer, dome, rendered_capture, sampled, with_unit_normals
 from .options.values import silent, size_option, warn
 
 
@@ -47,10 +48,12 @@ def run(options: Namespace) -> dict:
     renderers, normal = [], next(p.name for p in model.parameters if p.is_normal)
     shown_count = empty_count = 0
     for bake, camera in zip(bakes, cameras, strict=True):
-        shown = sample_maps(model, values, bake.uv, len(mesh.tiles))
+        shown = sampled(values, bake.uv, len(mesh.tiles))
+        for name, value in shown.items():
+            check_map(model, name, value, bake.coverage, f"{options.maps}: {name}")
         shown_count += np.count_nonzero(bake.coverage)
         empty_count += np.count_nonzero(bake.coverage & ~shown[normal].any(axis=-1))
-        turned = maps_from_blender(model, shown, mesh, bake)
+        turned = maps_from_blender(model, with_unit_normals(model, shown), mesh, bake)
         renderers.append(camera_renderer(bake, model, turned, camera, lights))
     masks = [bake.coverage for bake in bakes]
     capture = rendered_capture(Path(options.output).name, renderers, cameras, masks, lights, bar.show)

@@ -70,3 +70,34 @@ def test_maps_that_the_default_model_lacks_are_warned_of(scene, tmp_path):
     said = "irpso: warning: {}: anisotropy: model metallic_roughness has no such maps; give theirs by --model\n"
     assert (code, err) == (0, said.format(maps))
     assert render(scene, maps, tmp_path / "stated", "--model", "lambert") == (0, "")
+
+
+TILTED = np.broadcast_to(np.float32([0.3, 0.2, 0.87**0.5]), (SIDE, SIDE, 3))
+FIRST = np.arange(SIDE)[:, None, None] < SIDE // 2  # rows
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "said"),
+    [
+        ("normal", 0.5 * TILTED + 0.5, "normal: its vectors have the length 1."),
+        ("roughness", np.full((SIDE, SIDE, 1), 102), "roughness: its values reach from 102 to 102; scale or clip them"),
+        ("roughness", np.full((SIDE, SIDE, 1), -0.3), "roughness: its values reach from -0.3 to -0.3; scale or clip"),
+        ("base_color", 256 * BASE, "base_color: its values reach from 128 to 128; scale or clip them to between 0 and"),
+        ("base_color", np.where(FIRST, np.nan, BASE), "base_color: it holds values that are not finite; fill them"),
+    ],
+)
+def test_maps_of_no_such_values_are_refused_with_nothing_written(name, values, said, scene, tmp_path):
+    maps = write_parts(tmp_path / f"{name}_map.exr", {"": values})
+    code, err = render(scene, maps, tmp_path / "out")
+    assert code == 2 and err.startswith(f"irpso: {maps}: {said}") and err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_materials_that_no_search_finds_are_rendered_as_they_are(scene, tmp_path):
+    pictures = []
+    for value in (0.0, 0.22):  # the range of a search begins at 0.22
+        lobes = np.broadcast_to(np.float32([value, 0.4, 0.5]), (SIDE, SIDE, 3))
+        maps = write_parts(tmp_path / f"{value}.exr", {"normal": NORMAL, "roughness_lobes": lobes})
+        assert render(scene, maps, tmp_path / f"{value}", "--model", "principled_two_lobe") == (0, "")
+        pictures.append(read_map(tmp_path / f"{value}" / "000.exr"))
+    assert np.isfinite(pictures).all() and np.abs(pictures[0] - pictures[1]).max() > 1e-4
