@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from argparse import Namespace
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from ..blender.scenes.scene import mesh_object, open_blend, scene_cameras
 from ..capture.formats.lists import read_numbers
 from ..capture.types import Light
 from ..capture.write import write_capture
+from ..core.encode import nearest_covered
 from ..core.errors import InputError
 from ..core.files import check_unused
 from ..core.paths import DEFAULT_MODEL
@@ -22,7 +24,7 @@ from ..exports.result import model_of_result
 from ..geometry.surface.bake import bake_camera
 from ..gpu import context, probe
 from ..reflectance.model import ReflectanceModel, load_model
-from ..results.read import read_maps, unknown_maps
+from ..results.read import read_coverage, read_maps, unknown_maps
 from ..solver.settings.fixed import check_map
 from ..solver.views.forward import camera_renderer, dome, rendered_capture, sampled, with_unit_normals
 from .options.values import silent, size_option, warn
@@ -46,13 +48,17 @@ def run(options: Namespace) -> dict:
     bar = ProgressBar("render", silent(options))
     bakes = [bake_camera(mesh, camera) for camera in cameras]
     renderers, normal = [], next(p.name for p in model.parameters if p.is_normal)
-    shown_count = empty_count = 0
+    recovered = _recovered(options.maps, mesh.tiles)
+    shown_count = empty_count = filled_count = 0
     for bake, camera in zip(bakes, cameras, strict=True):
         shown = sampled(values, bake.uv, len(mesh.tiles))
         for name, value in shown.items():
             check_map(model, name, value, bake.coverage, f"{options.maps}: {name}")
         shown_count += np.count_nonzero(bake.coverage)
         empty_count += np.count_nonzero(bake.coverage & ~shown[normal].any(axis=-1))
+        if recovered is not None:
+            near = sampled({"": recovered}, bake.uv, len(mesh.tiles))[""][..., 0] >= 0.5
+            filled_count += np.count_nonzero(bake.coverage & ~near)
         turned = maps_from_blender(model, with_unit_normals(model, shown), mesh, bake)
         renderers.append(camera_renderer(bake, model, turned, camera, lights))
     masks = [bake.coverage for bake in bakes]
@@ -62,11 +68,23 @@ def run(options: Namespace) -> dict:
     for renderer in renderers:
         renderer.close()
     if empty_count:
-        share = empty_count / shown_count
-        warn([f"the maps have no normal at {share:.1%} of what shows, which is black"])
+        warn([f"the maps have no normal at {empty_count / shown_count:.1%} of what shows, which is black"])
+    if filled_count:
+        share = filled_count / shown_count
+        warn([f"the maps have no recovered value at {share:.1%} of what shows, which is filled from other texels"])
     if not silent(options):
         sys.stdout.write(f"{len(capture.observations)} photographs written to {options.output}\n")
     return {"output": options.output, "images": len(capture.observations)}
+
+
+def _recovered(path: str, tiles: Sequence[int]) -> np.ndarray | None:
+    """Return (H, W, 1) float32: 1 at solved texels and beside them, where islands end, else 0; None if unknown."""
+    covered = read_coverage(path, tiles)
+    if covered is None:
+        return None
+    rows, columns, *_ = nearest_covered(covered, 2)
+    covered[rows, columns] = True
+    return covered[..., None].astype(np.float32)
 
 
 def complete_maps(values: dict[str, np.ndarray], model: ReflectanceModel) -> dict[str, np.ndarray]:

@@ -14,6 +14,7 @@ from ..core.udim import ONE_SQUARE, PATTERN, tile_files
 from ..reflectance.model import ReflectanceModel
 from .map_tables import OTHER_FILES, MapTable, map_tables, table_of
 
+COVERAGE = "coverage"  # part of maps.exr: 1 at solved texels
 _COLOUR_NAMES = ("R", "G", "B", "A")
 _VECTOR_NAMES = ("X", "Y", "Z")
 
@@ -40,9 +41,20 @@ def unknown_maps(path: str | Path, model: ReflectanceModel, tiles: Sequence[int]
     path, tiles: as in ``read_maps``, which reports files that cannot be read.
     """
     parts = read_exr_header(_files(Path(path), tiles)[0])
-    known = {"coverage", "residual", *(table.name for table in map_tables(model))}
+    known = {COVERAGE, "residual", *(table.name for table in map_tables(model))}
     names = [part.name for part in parts if part.name not in known and not part.name.startswith("confidence_")]
     return names if len(parts) > 1 else []
+
+
+def read_coverage(path: str | Path, tiles: Sequence[int] = ONE_SQUARE) -> np.ndarray | None:
+    """Return (H, W) bool: the texels with a recovered value, by the part ``coverage``; None for files without one.
+
+    path, tiles: as in ``read_maps``.
+    """
+    files = _files(Path(path), tiles)
+    if not all(any(part.name == COVERAGE for part in read_exr_header(file)) for file in files):
+        return None
+    return _side_by_side(Path(path), [next(iter(read_exr(file)[COVERAGE].values())) > 0 for file in files])
 
 
 def _files(path: Path, tiles: Sequence[int]) -> list[Path]:

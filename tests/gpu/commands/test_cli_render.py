@@ -101,3 +101,14 @@ def test_materials_that_no_search_finds_are_rendered_as_they_are(scene, tmp_path
         assert render(scene, maps, tmp_path / f"{value}", "--model", "principled_two_lobe") == (0, "")
         pictures.append(read_map(tmp_path / f"{value}" / "000.exr"))
     assert np.isfinite(pictures).all() and np.abs(pictures[0] - pictures[1]).max() > 1e-4
+
+
+@pytest.mark.parametrize(("solved", "warned"), [(SIDE, None), (SIDE - 1, None), (SIDE // 2, "25.0%")])
+def test_filled_texels_that_show_are_warned_of(solved, warned, scene, tmp_path):
+    coverage = np.broadcast_to(np.arange(SIDE)[:, None, None] < solved, (SIDE, SIDE, 1))
+    maps = write_parts(tmp_path / "maps.exr", {"base_color": BASE, "normal": NORMAL, "coverage": coverage})
+    code, err = render(scene, maps, tmp_path / "out", "--model", "lambert")
+    said = "irpso: warning: the maps have no recovered value at {} of what shows, which is filled from other texels\n"
+    assert (code, err) == (0, said.format(warned) if warned else "")
+    picture = read_map(tmp_path / "out" / "000.exr")
+    np.testing.assert_allclose(picture[..., :3], 0.5 / np.hypot(1, np.hypot(0.5, 0.2)), atol=1e-5)
