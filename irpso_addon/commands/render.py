@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from argparse import Namespace
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from ..blender.scenes.scene import mesh_object, open_blend, scene_cameras
 from ..capture.formats.lists import read_numbers
 from ..capture.types import Light
 from ..capture.write import write_capture
+from ..core.encode import nearest_covered
 from ..core.errors import InputError
 from ..core.files import check_unused
 from ..core.paths import DEFAULT_MODEL
@@ -22,14 +24,16 @@ from ..exports.result import model_of_result
 from ..geometry.surface.bake import bake_camera
 from ..gpu import context, probe
 from ..reflectance.model import ReflectanceModel, load_model
-from ..results.read import read_maps
-from ..solver.views.forward import camera_renderer, dome, rendered_capture, sample_maps
+from ..results.read import read_coverage, read_maps, unknown_maps
+from ..solver.settings.fixed import check_map
+from ..solver.views.forward import camera_renderer, dome, rendered_capture, sampled, with_unit_normals
 from .options.values import silent, size_option, warn
 
 
 def run(options: Namespace) -> dict:
     """Render every camera under every light and write the capture. Raises InputError."""
-    model = load_model(options.model) if options.model else model_of_result(options.maps) or load_model(DEFAULT_MODEL)
+    stated = load_model(options.model) if options.model else model_of_result(options.maps)
+    model = stated or load_model(DEFAULT_MODEL)
     size = size_option("--size", options.size)
     lights = _lights(options)
     check_unused(Path(options.output), "choose a new folder for the capture")
@@ -38,16 +42,24 @@ def run(options: Namespace) -> dict:
     open_blend(options.blend)
     mesh = extract_mesh(mesh_object(options.object))
     values = complete_maps(read_maps(options.maps, model, mesh.tiles), model)
+    if stated is None and (names := unknown_maps(options.maps, model, mesh.tiles)):
+        warn([f"{options.maps}: {', '.join(names)}: model {model.name} has no such maps; give theirs by --model"])
     cameras = scene_cameras(options.camera, size)
     bar = ProgressBar("render", silent(options))
     bakes = [bake_camera(mesh, camera) for camera in cameras]
     renderers, normal = [], next(p.name for p in model.parameters if p.is_normal)
-    shown_count = empty_count = 0
+    recovered = _recovered(options.maps, mesh.tiles)
+    shown_count = empty_count = filled_count = 0
     for bake, camera in zip(bakes, cameras, strict=True):
-        shown = sample_maps(model, values, bake.uv, len(mesh.tiles))
+        shown = sampled(values, bake.uv, len(mesh.tiles))
+        for name, value in shown.items():
+            check_map(model, name, value, bake.coverage, f"{options.maps}: {name}")
         shown_count += np.count_nonzero(bake.coverage)
         empty_count += np.count_nonzero(bake.coverage & ~shown[normal].any(axis=-1))
-        turned = maps_from_blender(model, shown, mesh, bake)
+        if recovered is not None:
+            near = sampled({"": recovered}, bake.uv, len(mesh.tiles))[""][..., 0] >= 0.5
+            filled_count += np.count_nonzero(bake.coverage & ~near)
+        turned = maps_from_blender(model, with_unit_normals(model, shown), mesh, bake)
         renderers.append(camera_renderer(bake, model, turned, camera, lights))
     masks = [bake.coverage for bake in bakes]
     capture = rendered_capture(Path(options.output).name, renderers, cameras, masks, lights, bar.show)
@@ -56,11 +68,23 @@ def run(options: Namespace) -> dict:
     for renderer in renderers:
         renderer.close()
     if empty_count:
-        share = empty_count / shown_count
-        warn([f"the maps have no normal at {share:.1%} of what shows, which is black"])
+        warn([f"the maps have no normal at {empty_count / shown_count:.1%} of what shows, which is black"])
+    if filled_count:
+        share = filled_count / shown_count
+        warn([f"the maps have no recovered value at {share:.1%} of what shows, which is filled from other texels"])
     if not silent(options):
         sys.stdout.write(f"{len(capture.observations)} photographs written to {options.output}\n")
     return {"output": options.output, "images": len(capture.observations)}
+
+
+def _recovered(path: str, tiles: Sequence[int]) -> np.ndarray | None:
+    """Return (H, W, 1) float32: 1 at solved texels and beside them, where islands end, else 0; None if unknown."""
+    covered = read_coverage(path, tiles)
+    if covered is None:
+        return None
+    rows, columns, *_ = nearest_covered(covered, 2)
+    covered[rows, columns] = True
+    return covered[..., None].astype(np.float32)
 
 
 def complete_maps(values: dict[str, np.ndarray], model: ReflectanceModel) -> dict[str, np.ndarray]:

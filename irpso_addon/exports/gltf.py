@@ -56,7 +56,7 @@ def _surface(maps: Maps, name: str, open_sky: np.ndarray | float) -> tuple[Surfa
     color = np.where(surface.metallic > _METAL, 1, color / highest)
     pictures = Surface(
         name=name,
-        base_color=pixels.colour(surface.base_color, maps),
+        base_color=pixels.colour(surface.base_below(fit.strength), maps),
         orm=pixels.packed(maps, open_sky, np.sqrt(fit.alpha), surface.metallic),
         normal=pixels.normal(surface.normal, maps),
         specular=_specular(maps, color, factor),

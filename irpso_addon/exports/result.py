@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -15,7 +16,7 @@ from ..blender.materials.gltf import recovered_slots
 from ..capture.images.exr import read_exr
 from ..core.encode import fill_margin
 from ..core.errors import InputError
-from ..core.udim import ONE_SQUARE, tile_part, tile_stem
+from ..core.udim import ONE_SQUARE, PATTERN, tile_part, tile_stem
 from ..geometry.relief.height import TEXELS, Height
 from ..geometry.relief.occlusion import open_sky
 from ..geometry.surface.mesh import MeshData
@@ -23,7 +24,9 @@ from ..geometry.surface.slots import slot_names, slots_of_text
 from ..reflectance.model import ReflectanceModel, digest_of_own_model, load_model
 from ..results.maps import Maps
 from ..results.read import read_maps
-from ..results.write import BLEND, MODEL_DIGEST, REPORT
+from ..results.write import BLEND, MODEL_DIGEST, REPORT, listed_files
+
+_TILE = re.compile(r"\.[12]\d\d\d\.")
 
 
 @dataclass(frozen=True)
@@ -84,9 +87,18 @@ def read_result(folder: str | Path, model: str | None = None) -> Result:
     return Result(folder.resolve().name, maps, _height(folder, report, maps), folder, report, card)
 
 
-def model_of_result(folder: str | Path) -> ReflectanceModel | None:
-    """Return the model that recovered a result's folder; None where no result lies there. Raises InputError."""
-    return _stored_model(_report(Path(folder))) if (Path(folder) / REPORT).is_file() else None
+def model_of_result(path: str | Path) -> ReflectanceModel | None:
+    """Return the model that recovered a result; None where no result lies there.
+
+    path: its folder, or a file that its report lists, also with <UDIM> for a tile's number. Raises InputError.
+    """
+    path = Path(path)
+    if not path.is_dir():
+        listed = {_TILE.sub(f".{PATTERN}.", name) for name in listed_files(path.parent)}
+        if _TILE.sub(f".{PATTERN}.", path.name) not in listed:
+            return None
+        path = path.parent
+    return _stored_model(_report(path)) if (path / REPORT).is_file() else None
 
 
 def _settings(report: Mapping[str, Any]) -> dict[str, Any]:

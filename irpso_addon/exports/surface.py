@@ -53,6 +53,16 @@ class Surface:
         """(H, W) the dielectric's reflectance at grazing incidence in Schlick's approximation: near 0 as f0 is."""
         return _grazing(self.f0) if self.layered else np.ones_like(self.f0)
 
+    def base_below(self, strength: np.ndarray) -> np.ndarray:
+        """Return (H, W, 3) the base colour for a shader of layers, whose base lacks what its lobe reflects.
+
+        strength: (H, W) that of a ``Fit`` as one lobe. A base beside its lobes is raised by the lobe's reflectance at
+        normal incidence, up to 1: its radiance is the same from the front, and up to 4 % too dark from 60°.
+        """
+        if self.layered:
+            return self.base_color
+        return np.minimum(self.base_color / (1 - self.f0 * strength)[..., None], 1)
+
     @property
     def specular_color(self) -> np.ndarray:
         """(H, W, 3) the reflectance at normal incidence of the dielectric and the metal together."""

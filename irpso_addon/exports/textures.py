@@ -38,9 +38,13 @@ class _Shape:
 
 @dataclass(frozen=True)
 class _Set(_Shape):
-    """The maps of one tile for a single lobe. error: (H, W) of the lobe, as in a Fit."""
+    """The maps of one tile for a single lobe. error: (H, W) of the lobe, as in a Fit.
+
+    base: (H, W, 3) base colour for a shader that takes the lobe's reflectance off it.
+    """
 
     surface: Surface
+    base: np.ndarray
     roughness: np.ndarray
     specular: np.ndarray
     error: np.ndarray
@@ -71,7 +75,8 @@ def _occlusion(s: _Shape) -> np.ndarray | None:
     return None if isinstance(s.open_sky, float) else pixels.packed(s.maps, s.open_sky)
 
 
-_BASE = _Texture("_BaseColor", lambda s: pixels.colour(s.surface.base_color, s.maps))
+_BASE = _Texture("_BaseColor", lambda s: pixels.colour(s.base, s.maps))
+_ADDED_BASE = _Texture("_BaseColor", lambda s: pixels.colour(s.surface.base_color, s.maps))  # the lobe adds to it
 _ROUGHNESS = _Texture("_Roughness", lambda s: pixels.packed(s.maps, s.roughness))
 _METALLIC = _Texture("_Metallic", lambda s: pixels.packed(s.maps, s.surface.metallic))
 _SPECULAR = _Texture("_Specular", lambda s: pixels.packed(s.maps, s.specular))
@@ -99,15 +104,15 @@ CONVENTIONS: dict[str, tuple[str, tuple[_Texture, ...]]] = {
     "unreal": (
         "T_",
         (
-            _Texture("_BC", _BASE.pixels), _Texture("_N", _directx, 16), _Texture("_ORM", _orm),
+            _Texture("_BC", _ADDED_BASE.pixels), _Texture("_N", _directx, 16), _Texture("_ORM", _orm),
             _Texture("_S", _SPECULAR.pixels), _Texture("_H", _HEIGHT.pixels, 16),
         ),
     ),
-    "unity": ("", (_Texture("_BaseMap", _BASE.pixels), _NORMAL, _MASK, _HEIGHT)),
+    "unity": ("", (_Texture("_BaseMap", _BASE.pixels), _NORMAL, _MASK, _SPECULAR, _HEIGHT)),
     "substance": (
         "",
         (
-            _BASE, _Texture("_Normal_OpenGL", _NORMAL.pixels, 16), _Texture("_Normal_DirectX", _directx, 16),
+            _ADDED_BASE, _Texture("_Normal_OpenGL", _NORMAL.pixels, 16), _Texture("_Normal_DirectX", _directx, 16),
             _ROUGHNESS, _METALLIC, _Texture("_SpecularLevel", _SPECULAR.pixels),
             _Texture("_AmbientOcclusion", _occlusion), _HEIGHT,
         ),
@@ -176,7 +181,10 @@ def _pictures(
         return drawn | _unchanged(maps, {p.name for p in maps.model.parameters} - {normal}), None
     fit = fit_ggx(surface)
     specular = surface.f0 * fit.strength * _SPECULAR_OF_F0
-    made = _Set(**vars(shape), surface=surface, roughness=np.sqrt(fit.alpha), specular=specular, error=fit.error)
+    made = _Set(
+        **vars(shape), surface=surface, base=surface.base_below(fit.strength), roughness=np.sqrt(fit.alpha),
+        specular=specular, error=fit.error,
+    )  # fmt: skip
     return _drawn(textures, made) | _unchanged(maps, unused_parameters(maps.model)), made
 
 

@@ -7,12 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from ..capture.images.exr import read_exr
+from ..capture.images.exr import matrix_to_rec_709, read_exr
+from ..capture.images.exr_header import read_exr_header
 from ..core.errors import InputError
 from ..core.udim import ONE_SQUARE, PATTERN, tile_files
 from ..reflectance.model import ReflectanceModel
 from .map_tables import OTHER_FILES, MapTable, map_tables, table_of
 
+COVERAGE = "coverage"  # part of maps.exr: 1 at solved texels
 _COLOUR_NAMES = ("R", "G", "B", "A")
 _VECTOR_NAMES = ("X", "Y", "Z")
 _OTHER_SPACES = ("normal_object", "normal_world", "normal_directx")  # names of a result's files
@@ -24,17 +26,44 @@ def read_maps(path: str | Path, model: ReflectanceModel, tiles: Sequence[int] = 
     A file of several parts has one map per part, by name (our maps.exr); a file of one part has the map that
     names its part, else the map of the longest name with which the file's name begins, such as ``normal_gt.exr``.
     tiles: UDIM tiles, side by side from the left; each has its own file, with its number in the name, or <UDIM> in
-    ``path``. Raises InputError if a file has none of the model's maps, is missing, or differs from the others in size
-    or maps.
+    ``path``. Colours of a file that states other primaries become linear Rec. 709. Raises InputError if a file has none
+    of the model's maps, is missing, in an unknown colour space, or differs from the others in size or maps.
     """
     path = Path(path)
-    if path.is_dir():
-        one = tuple(tiles) == ONE_SQUARE and (path / "maps.exr").is_file()
-        path = path / ("maps.exr" if one or not any(path.glob("maps.[12]???.exr")) else f"maps.{PATTERN}.exr")
-    maps = [_maps_of_file(file, model) for file in tile_files(path, tiles)]
+    maps = [_maps_of_file(file, model) for file in _files(path, tiles)]
     if any(set(values) != set(maps[0]) for values in maps):
         raise InputError(f"{path}: the files of its UDIM tiles hold different maps; write all of them again")
     return {name: _side_by_side(path, [values[name] for values in maps]) for name in maps[0]}
+
+
+def unknown_maps(path: str | Path, model: ReflectanceModel, tiles: Sequence[int] = ONE_SQUARE) -> list[str]:
+    """Return the names of the maps, in a file of several parts, that the model does not have; they are not read.
+
+    path, tiles: as in ``read_maps``, which reports files that cannot be read.
+    """
+    parts = read_exr_header(_files(Path(path), tiles)[0])
+    known = {COVERAGE, "residual", *(table.name for table in map_tables(model))}
+    names = [part.name for part in parts if part.name not in known and not part.name.startswith("confidence_")]
+    return names if len(parts) > 1 else []
+
+
+def read_coverage(path: str | Path, tiles: Sequence[int] = ONE_SQUARE) -> np.ndarray | None:
+    """Return (H, W) bool: the texels with a recovered value, by the part ``coverage``; None for files without one.
+
+    path, tiles: as in ``read_maps``.
+    """
+    files = _files(Path(path), tiles)
+    if not all(any(part.name == COVERAGE for part in read_exr_header(file)) for file in files):
+        return None
+    return _side_by_side(Path(path), [next(iter(read_exr(file)[COVERAGE].values())) > 0 for file in files])
+
+
+def _files(path: Path, tiles: Sequence[int]) -> list[Path]:
+    """Return the file of each tile of a result's folder, or of a path as in ``tile_files``. Raises InputError."""
+    if path.is_dir():
+        one = tuple(tiles) == ONE_SQUARE and (path / "maps.exr").is_file()
+        path = path / ("maps.exr" if one or not any(path.glob("maps.[12]???.exr")) else f"maps.{PATTERN}.exr")
+    return tile_files(path, tiles)
 
 
 def _maps_of_file(path: Path, model: ReflectanceModel) -> dict[str, np.ndarray]:
@@ -47,7 +76,7 @@ def _maps_of_file(path: Path, model: ReflectanceModel) -> dict[str, np.ndarray]:
     values: dict[str, np.ndarray] = {}
     for name, table in tables.items():
         if name in parts:
-            values |= _split(table, _stacked(table, parts[name], path))
+            values |= _split(table, _in_rec_709(table, _stacked(table, parts[name], path), path, name))
     if not values:
         names = ", ".join(tables)
         raise InputError(
@@ -80,7 +109,7 @@ def _parameter_of_file(path: Path, table: MapTable, name: str) -> np.ndarray:
     if not names:
         raise InputError(f"{path}: has the channels {', '.join(channels)}; save it as R, G, B")
     values = np.stack([channels[one] for one in names], axis=-1).astype(np.float32)
-    return table.channels_of(name, values, str(path))
+    return table.channels_of(name, _in_rec_709(table, values, path), str(path))
 
 
 def _side_by_side(path: Path, values: list[np.ndarray]) -> np.ndarray:
@@ -105,6 +134,18 @@ def _stacked(table: MapTable, channels: Mapping[str, np.ndarray], path: Path) ->
         return next(iter(channels.values()))[..., None].astype(np.float32)
     available = ", ".join(channels)
     raise InputError(f"{path}: the map {table.name} has {count} channels, the file has {available}; save it as R, G, B")
+
+
+def _in_rec_709(table: MapTable, values: np.ndarray, path: Path, name: str = "") -> np.ndarray:
+    """Return a map's values (H, W, C), colours as linear Rec. 709. name: of the file's part, if it has several."""
+    if table.color_space != "sRGB" or table.components < 3 or values.shape[-1] < 3:
+        return values
+    parts = read_exr_header(path)
+    part = next(part for part in parts if len(parts) == 1 or part.name == name)
+    matrix = matrix_to_rec_709(part, _COLOUR_NAMES[:3], str(path))
+    if matrix is None:
+        return values
+    return np.concatenate([values[..., :3] @ matrix.T, values[..., 3:]], axis=-1).astype(np.float32)
 
 
 def _split(table: MapTable, values: np.ndarray) -> dict[str, np.ndarray]:

@@ -49,12 +49,12 @@ def check_replaces_nothing(folder: Path, model: ReflectanceModel) -> None:
     stems = {table.name for table in map_tables(model)} | set(OTHER_FILES)
     names = [path.name for path in sorted(folder.iterdir())] if folder.is_dir() else []
     ours = [n for n in names if n in (REPORT, BLEND) or (_OWN_FILE.match(n) and n.partition(".")[0] in stems)]
-    _refuse_foreign(folder, ours, _former_files(folder))
+    _refuse_foreign(folder, ours, listed_files(folder))
 
 
 def check_replaces_no_maps(folder: Path) -> None:
     """Raise InputError if the report and the file of several slots would replace others, or the report of maps."""
-    former = _former_files(folder)
+    former = listed_files(folder)
     _refuse_foreign(folder, (REPORT, BLEND), former)
     if maps := sorted(former - {REPORT, BLEND}):
         raise InputError(
@@ -95,7 +95,7 @@ def write_maps(
     created = [p for p in (folder, *folder.parents) if not p.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        former = _former_files(folder)
+        former = listed_files(folder)
         for left in folder.glob(f"{_PARTIAL}*"):  # left by a killed process
             shutil.rmtree(left, ignore_errors=True)
         with tempfile.TemporaryDirectory(prefix=_PARTIAL, dir=folder) as temporary:
@@ -124,7 +124,7 @@ def write_maps(
 
 def remove_result(folder: Path) -> None:
     """Remove the files of the result in this folder, and the folder if nothing else is in it."""
-    for name in _former_files(folder):
+    for name in listed_files(folder):
         (folder / name).unlink(missing_ok=True)
     _remove_empty([folder])
 
@@ -204,8 +204,11 @@ def _write_report(
     (folder / REPORT).write_text(text + "\n", encoding="utf-8", errors=JSON_ERRORS)
 
 
-def _former_files(folder: Path) -> set[str]:
-    """Return the names of the files of a former result here, and of one whose process was killed while moving them."""
+def listed_files(folder: Path) -> set[str]:
+    """Return the names of the files of the result in a folder, and of one whose process was killed while moving them.
+
+    The empty set where no result lies there.
+    """
     names = set()
     for report in (folder / REPORT, *folder.glob(f"{_PARTIAL}*/{REPORT}")):
         try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +16,7 @@ from ...core.files import replacing_file
 from ..errors import CaptureError
 from .exr_header import TURN_NAMES, ExrPart, Turn, read_exr_header
 from .linearise import Samples, samples
+from .primaries import BY_NAME, UNKNOWN_SPACES, to_rec_709
 
 if TYPE_CHECKING:
     from OpenEXR import Part
@@ -110,6 +111,28 @@ def _rgb(table: dict[str, str]) -> list[str] | None:
         return [table["Y"]] * 3
     colours = [name for last, name in table.items() if last != "A"]
     return colours * 3 if len(colours) == 1 else None
+
+
+def matrix_to_rec_709(part: ExrPart, rgb: Collection[str], where: str) -> np.ndarray | None:
+    """Return the matrix (3, 3) from a part's primaries to linear Rec. 709; None for equal ones or one channel.
+
+    Raises CaptureError, naming ``where``, if the part states a colour space that is unknown.
+    """
+    chromaticities = part.chromaticities or BY_NAME.get(part.colour_space)
+    if len(set(rgb)) == 1:
+        return None
+    if chromaticities is None:
+        if part.colour_space in UNKNOWN_SPACES:
+            return None
+        raise CaptureError(
+            f"{where}: is in the colour space '{part.colour_space}'; export it as linear Rec. 709", "image_unknown"
+        )
+    try:
+        return to_rec_709(chromaticities)
+    except ValueError as error:
+        raise CaptureError(
+            f"{where}: its chromaticities define no colour space; export it as linear Rec. 709", "image_unknown"
+        ) from error
 
 
 def samples_of_exr(

@@ -13,13 +13,12 @@ from ...core.errors import InputError
 from ..errors import CaptureError
 from .colour_profile import ColourProfile, ProfileError, adobe_rgb, profile_of_gamma, profile_of_h273, profile_of_icc
 from .exif import Exposure, exposure_of
-from .exr import ExrImage, colour_channels, load_exr, samples_of_exr
+from .exr import ExrImage, colour_channels, load_exr, matrix_to_rec_709, samples_of_exr
 from .exr_header import ExrPart, Turn, is_exr, read_exr_header
 from .headers import ImageHeader, missing, read_bytes, read_header
 from .heif import SUFFIXES as HEIF_SUFFIXES
 from .heif import decode_heif
 from .linearise import Decoder, Picture, Samples, mask_of_picture, samples_of_picture
-from .primaries import BY_NAME, UNKNOWN_SPACES, to_rec_709
 from .raw import RawHeader, decode_raw, is_raw, raw_header
 
 SUFFIXES = (".png", ".exr", ".tif", ".tiff", ".jpg", ".jpeg", ".hdr", *HEIF_SUFFIXES)  # of pictures, without raw files
@@ -179,7 +178,7 @@ class ImageStore:
             return self.samples_of(image, self.picture(image))
         part = self._part(image)
         rgb, alpha = colour_channels(part, image.layer, str(image))
-        matrix, srgb = _matrix_of(image, part, rgb), image.colour_space == "srgb"
+        matrix, srgb = matrix_to_rec_709(part, rgb, str(image)), image.colour_space == "srgb"
         return samples_of_exr(self._pixels(image.path, part), rgb, alpha, matrix, srgb)
 
     def samples_of(self, image: ImageRef, picture: Picture) -> Samples:
@@ -267,25 +266,6 @@ class ImageStore:
         if several:
             self._parts[path] = parts
         return image
-
-
-def _matrix_of(image: ImageRef, part: ExrPart, rgb: list[str]) -> np.ndarray | None:
-    """Return the matrix (3, 3) from an EXR part's primaries to Rec. 709; None for equal ones or one channel."""
-    chromaticities = part.chromaticities or BY_NAME.get(part.colour_space)
-    if len(set(rgb)) == 1:
-        return None
-    if chromaticities is None:
-        if part.colour_space in UNKNOWN_SPACES:
-            return None
-        raise CaptureError(
-            f"{image}: is in the colour space '{part.colour_space}'; export it as linear Rec. 709", "image_unknown"
-        )
-    try:
-        return to_rec_709(chromaticities)
-    except ValueError as error:
-        raise CaptureError(
-            f"{image}: its chromaticities define no colour space; export it as linear Rec. 709", "image_unknown"
-        ) from error
 
 
 def find_image(folder: Path, name: str) -> Path:

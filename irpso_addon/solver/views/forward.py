@@ -118,10 +118,14 @@ def _rendered_in_blocks(
     return images
 
 
-def sample_maps(
-    model: ReflectanceModel, values: Mapping[str, np.ndarray], uv: np.ndarray, tiles: int = 1
-) -> dict[str, np.ndarray]:
-    """Return maps (h, w, components) sampled bilinearly at texture coordinates (H, W, 2); normals are normalised.
+def with_unit_normals(model: ReflectanceModel, values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return maps with normals of length 1; 0, 0, 0 stays."""
+    lengths = {p.name: np.linalg.norm(values[p.name], axis=-1, keepdims=True) for p in model.parameters if p.is_normal}
+    return {**values} | {name: values[name] / np.maximum(length, 1e-8) for name, length in lengths.items()}
+
+
+def sampled(values: Mapping[str, np.ndarray], uv: np.ndarray, tiles: int = 1) -> dict[str, np.ndarray]:
+    """Return maps (h, w, components) sampled bilinearly at texture coordinates (H, W, 2), as float32.
 
     Texel centres lie at (i + ½) / w; outside the outermost centres of a tile the border value is repeated. tiles:
     number of UDIM tiles side by side.
@@ -134,16 +138,12 @@ def sample_maps(
     x0, y0 = np.clip(x.astype(int), first, np.maximum(last - 1, first)), np.minimum(y.astype(int), max(height - 2, 0))
     x1, y1 = np.minimum(x0 + 1, last), np.minimum(y0 + 1, height - 1)
     fx, fy = (x - x0)[..., None], (y - y0)[..., None]
-    sampled = {}
-    for parameter in model.parameters:
-        grid = values[parameter.name]
+    result = {}
+    for name, grid in values.items():
         lower = grid[y0, x0] * (1 - fx) + grid[y0, x1] * fx
         upper = grid[y1, x0] * (1 - fx) + grid[y1, x1] * fx
-        result = (lower * (1 - fy) + upper * fy).astype(np.float32)
-        if parameter.is_normal:
-            result /= np.maximum(np.linalg.norm(result, axis=-1, keepdims=True), 1e-8)
-        sampled[parameter.name] = result
-    return sampled
+        result[name] = (lower * (1 - fy) + upper * fy).astype(np.float32)
+    return result
 
 
 def rendered_capture(

@@ -115,10 +115,14 @@ def done(*arguments):
 
 
 def test_udim_maps_render_like_maps_of_one_square(folder):
+    # In one square the islands meet, and the half texel on each side of their border mixes both; tiles end there.
+    column = ((np.arange(PIXELS[0]) + 0.5) / PIXELS[0] - 0.5) * 4.2
+    apart = np.abs(column) > 0.05 + 1.9 / SIDE / 2 - 1e-6
+    assert apart.sum() == PIXELS[0] - 4
     for k in (0, 7, 13):
         of_tiles, of_one = (read_map(folder / f"capture {name}" / f"{k:03d}.exr") for name in ("udim", "single"))
         assert of_one[..., :3].max() > 0.3
-        np.testing.assert_allclose(of_tiles, of_one, atol=1e-6)
+        np.testing.assert_allclose(of_tiles[:, apart], of_one[:, apart], atol=1e-6)
 
 
 def test_the_files_of_each_tile_equal_one_square_bit_for_bit(folder):

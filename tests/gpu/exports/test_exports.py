@@ -116,12 +116,14 @@ def test_an_unknown_shaders_normal_and_height_follow_the_convention(tmp_path):
     np.testing.assert_allclose(green, -made.maps.values["normal"][..., 1], atol=5e-5)
 
 
-def test_unitys_mask_map_holds_smoothness_in_alpha(tmp_path):
+def test_unitys_mask_map_holds_smoothness_in_alpha_and_the_specular_level_is_a_file_of_its_own(tmp_path):
     result = result_of("principled")
     textures.write_textures(result, tmp_path, "unity")
     mask = picture(tmp_path / "leaf_MaskMap.png")
     np.testing.assert_allclose(mask[..., 3], 1 - result.maps.values["roughness"][..., 0], atol=0.51 / 255)
     assert (mask[..., 0] == 0).all() and (mask[..., 1] == 1).all()
+    shown = picture(tmp_path / "leaf_Specular.png")[..., :1]
+    np.testing.assert_allclose(shown, result.maps.values["specular"], atol=0.51 / 255)
 
 
 def test_udim_tiles_are_files_of_their_own(tmp_path):

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 import pytest
 
 from irpso_addon.capture.images.exr import write_exr
@@ -71,3 +72,21 @@ def test_a_grey_picture_is_the_fourth_number_of_a_map_and_its_alpha_is_none():
     np.testing.assert_array_equal(table.channels_of("wear", grey, "grey"), np.full((2, 2, 1), 0.3, np.float32))
     own = grey * np.float32([1, 1, 1, 0.6])
     np.testing.assert_array_equal(table.channels_of("wear", own, "own"), np.full((2, 2, 1), 0.6, np.float32))
+
+
+# ACEScg (Academy S-2014-004) to linear sRGB, of the Academy's OpenColorIO configuration.
+ACES_CG = (0.713, 0.293, 0.165, 0.830, 0.128, 0.044, 0.32168, 0.33767)
+MATRIX = np.array([(1.70505, -0.62179, -0.08326), (-0.13026, 1.14080, -0.01055), (-0.02400, -0.12897, 1.15297)])
+
+
+@pytest.mark.parametrize("stated", [{"chromaticities": ACES_CG}, {"colorInteropID": "lin_ap1_scene"}])
+def test_colours_of_stated_primaries_become_rec_709_and_other_maps_stay(stated, tmp_path):
+    values = np.random.default_rng(4).uniform(0.2, 0.9, (4, 6, 3)).astype(np.float32)
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **stated}
+    for name in ("base_color", "normal"):
+        OpenEXR.File(header, {"RGB": np.ascontiguousarray(values[::-1])}).write(str(tmp_path / f"{name}.exr"))
+    model, path = load_model("lambert"), tmp_path / "base_color.exr"
+    for found in (read_maps(path, model)["base_color"], read_parameter(path, model, "base_color")):
+        np.testing.assert_allclose(found, values @ MATRIX.T, atol=3e-5)
+        assert found.dtype == np.float32
+    np.testing.assert_array_equal(read_maps(tmp_path / "normal.exr", model)["normal"], values)
