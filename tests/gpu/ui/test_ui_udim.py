@@ -153,7 +153,7 @@ def test_maps_do_not_go_into_slots_or_a_uv_map_that_have_changed(settings, tmp_p
         for material in (skin, skin, bpy.data.materials.new("more")):
             others.materials.append(material)  # another material in the slot, and one more slot, move nothing
         others.update_tag()
-        with pytest.raises(RuntimeError, match="all faces of material slot 1 of 'Two' have another slot since"):
+        with pytest.raises(RuntimeError, match="all faces of material slot 1 'Cloth' of 'Two' have another slot"):
             bpy.ops.irpso.keep()  # they were set to 0 with the slots
         others.polygons.foreach_set("material_index", of_faces)
         layer = others.uv_layers.active
