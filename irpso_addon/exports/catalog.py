@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-import socket
+import platform
 import time
 import uuid
 from collections.abc import Iterator
@@ -75,7 +75,7 @@ def _held(path: Path) -> Iterator[None]:
     its process was killed, and it is removed. Raises InputError if the folder cannot be written, or that file not
     removed.
     """
-    lock, token = path.with_name(f".{path.name}.lock"), f"{socket.gethostname()} {os.getpid()} {uuid.uuid4()}".encode()
+    lock, token = path.with_name(f".{path.name}.lock"), f"{platform.node()} {os.getpid()} {uuid.uuid4()}".encode()
     _take(lock, token, path)
     try:
         yield

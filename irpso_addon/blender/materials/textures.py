@@ -56,7 +56,9 @@ def written_pictures(maps: Maps, subject: str, folder: Path | None, height: np.n
             reason = error.__cause__ if isinstance(error, InputError) else error
             if not isinstance(reason, OSError):
                 raise
-            place, remedy = (folder, "choose another folder") if folder else (tempfile.gettempdir(), "free space there")
+            place, remedy = folder, "choose another folder"
+            if folder is None:
+                place, remedy = tempfile.gettempdir(), "free space there, or set TMPDIR to another folder"
             raise InputError(f"{place}: cannot be written ({reason.strerror or reason}); {remedy}") from error
         yield pictures
 
