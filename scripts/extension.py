@@ -8,6 +8,7 @@ The same sources give the same bytes.
 import argparse
 import importlib.util
 import platform
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -34,7 +35,9 @@ def this_platform() -> str:
 
 
 def git(*words: str, root: Path = ROOT) -> str:
-    """Return what a command of git says in a checkout. Raises SystemExit where there is none."""
+    """Return what a command of git says in a checkout. Raises SystemExit where there is no checkout, or no git."""
+    if shutil.which("git") is None:
+        raise SystemExit("git is not installed here, or not on PATH; install it and run this again")
     said = subprocess.run(["git", *words], cwd=root, capture_output=True, text=True)
     if said.returncode:
         raise SystemExit(f"{root}: is no git checkout ({said.stderr.strip()}); clone the repository and run this there")

@@ -36,7 +36,7 @@ from ..solver.planning.forecast import forecast, forecast_text
 from ..solver.views.held_out import relit_line
 from ..solver.views.history import History
 from .options.job_options import blend_of, derived_maps_of, job_of
-from .options.slots import EACH, asset_names, open_slots, write_assets
+from .options.slots import EACH, asset_names, export_named, open_slots, write_assets
 from .options.values import OF_ASSETS, shelf_of, silent, warn, warn_quietly
 
 INTERRUPTED = "interrupted"  # key of a report: a signal came when the search had ended
@@ -167,8 +167,8 @@ def _job_of_ranks(options: Namespace, leads: bool, held: ExitStack) -> Job:
 def _each_slot(options: Namespace) -> dict:
     """Recover the slots of each material into its own folder; return the reports by folder name.
 
-    One file beside them holds all materials. Assets are written at the end: a run that starts again has none to refuse.
-    Raises InputError before anything slow if a slot has no usable UV map, or its asset no place.
+    One file beside them holds all materials. Assets are written at the end, all or none: a run that starts again has
+    none to refuse. Raises InputError before anything slow if a slot has no usable UV map, or its asset no place.
     """
     folder, chosen = open_slots(options, blend_of(options))
     assets = asset_names(options, chosen)
@@ -178,7 +178,7 @@ def _each_slot(options: Namespace) -> dict:
         without = dict.fromkeys(("asset", *OF_ASSETS)) if assets else {}
         slot_options = Namespace(**{**vars(options), **slot, **without})
         try:
-            with _locked(slot_options):
+            with export_named(options, reports), _locked(slot_options):
                 reports[label] = _recover(slot_options, job_of(slot_options, opened=True))
             if reports[label].get(INTERRUPTED):
                 raise KeyboardInterrupt(f"{folder / label} holds its result, the slots after it have none")
@@ -190,8 +190,9 @@ def _each_slot(options: Namespace) -> dict:
     write_json(folder / REPORT, plain(result))  # first: it makes the other file one of ours
     result_blend.save_blend(folder / BLEND)
     if assets:
-        for label, path in write_assets(options, chosen, assets).items():
-            reports[label]["asset"] = path
+        with export_named(options, reports):
+            for label, path in write_assets(options, chosen, assets).items():
+                reports[label]["asset"] = path
     return {"output": str(folder), **result}
 
 

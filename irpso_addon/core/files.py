@@ -37,7 +37,12 @@ def replacing_file(path: Path, durable: bool = False, new: bool = False) -> Iter
             synced(partial)
         if new:  # an empty file holds the name: not every file system has hard links
             os.close(os.open(path, os.O_CREAT | os.O_EXCL))
-        os.replace(partial, path)
+        try:
+            os.replace(partial, path)
+        except BaseException:
+            if new and partial.exists():  # else an interrupt came when it was moved
+                path.unlink(missing_ok=True)
+            raise
         if durable:
             synced(path.parent)
     except OSError as error:

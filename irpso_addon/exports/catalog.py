@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import platform
 import time
 import uuid
 from collections.abc import Iterator
@@ -70,25 +71,69 @@ def _found_or_added(path: Path, catalog: str) -> str:
 def _held(path: Path) -> Iterator[None]:
     """Keep other processes, of any machine, from changing a file; wait while one of them changes it.
 
-    A file beside ``path`` says so. Where it stays the same for 10 s its process was killed, and it is removed. Raises
-    InputError if the folder cannot be written.
+    A lock file beside ``path`` says so, with host, process and a number of its own. Where it stays the same for 10 s
+    its process was killed, and it is removed. Raises InputError if the folder cannot be written, or that file not
+    removed.
     """
-    sign, seen, since = path.with_name(f".{path.name}.lock"), None, time.monotonic()
-    while True:
-        try:
-            os.close(os.open(sign, os.O_CREAT | os.O_EXCL))
-            break
-        except OSError as error:  # on Windows a file that is being removed is a PermissionError
-            with suppress(OSError):
-                found = (sign.stat().st_ino, sign.stat().st_mtime_ns)
-                seen, since = (seen, since) if found == seen else (found, time.monotonic())
-            if time.monotonic() - since > _WAIT:
-                if seen is None:
-                    raise InputError(f"{path}: cannot be written ({error.strerror}); choose another library") from error
-                sign.unlink(missing_ok=True)
-        time.sleep(0.01)
+    lock, token = path.with_name(f".{path.name}.lock"), f"{platform.node()} {os.getpid()} {uuid.uuid4()}".encode()
+    _take(lock, token, path)
     try:
         yield
     finally:
         with suppress(OSError):
-            sign.unlink()
+            if lock.read_bytes() == token:  # else another process took this one for killed
+                lock.unlink()
+
+
+def _take(lock: Path, token: bytes, path: Path) -> None:
+    """Make a lock file with this text, as soon as there is none. Raises InputError, as ``_held``."""
+    seen, since = None, time.monotonic()
+    while True:
+        try:
+            handle = os.open(lock, os.O_CREAT | os.O_EXCL | os.O_WRONLY)
+            break
+        except OSError as error:  # on Windows a file that is being removed is a PermissionError
+            with suppress(OSError):
+                found = _identity(lock)
+                seen, since = (seen, since) if found == seen else (found, time.monotonic())
+            waited = time.monotonic() - since
+            if waited > _WAIT and seen is None:
+                raise InputError(f"{path}: cannot be written ({error.strerror}); choose another library") from error
+            if waited > _WAIT:
+                _remove_stale(lock, seen, last_try=waited > 2 * _WAIT)
+        time.sleep(0.01)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(token)
+    except OSError as error:  # a full disk
+        lock.unlink(missing_ok=True)
+        raise InputError(f"{path}: cannot be written ({error.strerror}); choose another library") from error
+
+
+def _remove_stale(lock: Path, seen: tuple[int, int], last_try: bool) -> None:
+    """Remove the lock file of a killed process. last_try: whether to raise InputError where that fails.
+
+    A second file lets one process at a time do so: else one could remove the lock that another has made meanwhile.
+    """
+    claim = lock.with_name(f"{lock.name}.stale")
+    try:
+        os.close(os.open(claim, os.O_CREAT | os.O_EXCL))
+        try:
+            if _identity(lock) == seen:
+                lock.unlink()
+        finally:
+            claim.unlink()
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        if last_try:
+            raise InputError(
+                f"{error.filename or lock}: cannot be replaced ({error.strerror}), and the process that made it has"
+                " ended; delete this file"
+            ) from error
+
+
+def _identity(lock: Path) -> tuple[int, int]:
+    """Return what differs between two lock files. On Windows reading one would keep its process from removing it."""
+    found = lock.stat()
+    return found.st_ino, found.st_mtime_ns

@@ -98,7 +98,8 @@ class Run:
         self.findings: dict[str, Any] = {}
         self.warnings: tuple[str, ...] = ()
         self._plan: Plan | None = None
-        self._relit: tuple[Any, dict[str, np.ndarray], dict[str, Any]] = None, {}, {}
+        self._relit: tuple[dict[str, np.ndarray], dict[str, Any]] = {}, {}  # picture and figures of held-out images
+        self._relit_at: Progress | None = None
         self._held_out_indirect: Callable[[int], np.ndarray | float] = lambda held_out: 0.0
 
     def first_plan(self) -> Plan:
@@ -156,22 +157,22 @@ class Run:
             self._held_out_indirect = yield from self.recovery.indirect_in(subset(domain, held_out, domain.solvable))
         names = distinct_names([shot.name for shot in self.job.capture.observations], self.job.listed_numbers)
         steps = relit_steps(domain, maps, held_out, names, self._elsewhere, self.indirect)
-        self._relit = progress, *(yield from steps)
+        self._relit, self._relit_at = (yield from steps), progress
 
     @property
     def is_relit(self) -> bool:
         """Whether ``relit`` is up to date, or nothing is held out."""
         progress = self.recovery.progress if self.recovery is not None else self.progress
-        return not self.job.held_out or (progress is not None and self._relit[0] == progress)
+        return not self.job.held_out or (progress is not None and self._relit_at == progress)
 
     @property
     def relit(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """The picture of the held-out observations beside their renders, and the figures for the report."""
-        return self._relit[1:]
+        return self._relit
 
     def relight(self, maps: Maps) -> None:
         """Do ``relight_steps`` at once, if ``relit`` is older than the last maps."""
-        if self.job.held_out and self._relit[0] != self.progress:
+        if self.job.held_out and self._relit_at != self.progress:
             run_steps(self.relight_steps(maps))
 
     def change(self, schedule: Schedule) -> None:

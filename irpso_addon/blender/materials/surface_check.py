@@ -22,8 +22,8 @@ def check_surface(obj: Any, mesh: MeshData, subject: str) -> None:
     """Raise InputError where an object has other slots than when its mesh was read, or lacks the maps' UV map.
 
     Materials tell whether slots have moved: one that lies elsewhere now, unless the material of ``subject``, the maps'
-    own, is in its place. Slots without materials, or of one material, have moved where none of their faces is in them
-    any more. A last slot that no face had may be gone.
+    own, is in its place. Slots without materials, or of one material, have moved where no face of a recovered one is in
+    a recovered slot any more, or all faces of another one are. A last slot that no face had may be gone.
     """
     import bpy
 
@@ -41,8 +41,8 @@ def check_surface(obj: Any, mesh: MeshData, subject: str) -> None:
         )
     if (left := _left_slot(obj, mesh)) is not None:
         raise InputError(
-            f"all faces of material slot {left} of '{obj.name}' have another slot since its recovery began; restore the"
-            " slots' order, or recover again"
+            f"all faces of material slot {left} '{mesh.slots[left]}' of '{obj.name}' have another slot since its"
+            " recovery began; restore the slots' order, or recover again"
         )
     evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
     layers = {layer.name for data in (obj.data, evaluated.data) for layer in data.uv_layers}
@@ -75,9 +75,9 @@ def uv_warnings(obj: Any, mesh: MeshData) -> list[str]:
 
 
 def _left_slot(obj: Any, mesh: MeshData) -> int | None:
-    """Return a slot of the recovery, from 0, whose triangles have other slots now; None where there is none.
+    """Return a slot, from 0, whose triangles have all left the recovered slots, or come into them; None without.
 
-    None also of a mesh with more or fewer triangles, as a new modifier makes them.
+    None also of a mesh that had no slots, and of one with more or fewer triangles, as a new modifier makes them.
     """
     with _triangulated(obj) as data:
         count = len(data.loop_triangles)
@@ -85,7 +85,13 @@ def _left_slot(obj: Any, mesh: MeshData) -> int | None:
             return None
         now = read_attribute(data.loop_triangles, "material_index", count, np.int32)
     now = np.minimum(now, max(len(obj.material_slots) - 1, 0))  # as extract_mesh
-    return next((slot for slot in mesh.solved_slots if not (now[mesh.materials == slot] == slot).any()), None)
+    solved = np.isin(now, mesh.solved_slots)
+    others = sorted(set(mesh.materials.tolist()) - set(mesh.solved_slots))
+    moved = (
+        *(slot for slot in mesh.solved_slots if not solved[mesh.materials == slot].any()),
+        *(slot for slot in others if solved[mesh.materials == slot].all()),
+    )
+    return moved[0] if mesh.slots and moved else None
 
 
 def _uvs(obj: Any, uv_map: str) -> np.ndarray | None:

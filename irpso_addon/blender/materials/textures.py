@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -36,22 +36,30 @@ def written_pictures(maps: Maps, subject: str, folder: Path | None, height: np.n
 
     folder: of the files; None: a temporary one, removed at the end. A map is a 16-bit PNG, or a 32-bit EXR where its
     range exceeds 0…1; UDIM tiles have one file each. Beyond UV seams heights have the nearest value of their own side,
-    as at other borders. Raises InputError where the folder cannot be written.
+    as at other borders. Raises InputError where the folder cannot be written; no file is left then.
     """
     parts = [(table, maps) for table in map_tables(maps.model)]
     if height is not None:
         table = MapTable("height", (Parameter("height", range=(-1.0, 1.0)),))  # a range that exceeds PNG's
         parts.append((table, replace(maps, values={"height": height[..., None]}, margin=None)))
     with tempfile.TemporaryDirectory(prefix="irpso-") as temporary:
-        place, remedy = (folder, "choose another folder") if folder else (Path(temporary), "free space there")
         pictures: Pictures = {}
         try:
             for table, part in parts:
-                pictures[table.name] = table, _write_picture(part, table, place, subject)
-        except OSError as error:
+                pictures[table.name] = table, _new_paths(table, folder or Path(temporary), subject, maps.tiles)
+                _write_picture(part, table, pictures[table.name][1])
+        except BaseException as error:
             for path in (path for _, paths in pictures.values() for path in paths.values()):
-                path.unlink(missing_ok=True)
-            raise InputError(f"{place}: cannot be written ({error.strerror or error}); {remedy}") from error
+                with suppress(OSError):
+                    path.unlink()
+            # An encoder's own words name the single file.
+            reason = error.__cause__ if isinstance(error, InputError) else error
+            if not isinstance(reason, OSError):
+                raise
+            place, remedy = folder, "choose another folder"
+            if folder is None:
+                place, remedy = tempfile.gettempdir(), "free space there, or set TMPDIR to another folder"
+            raise InputError(f"{place}: cannot be written ({reason.strerror or reason}); {remedy}") from error
         yield pictures
 
 
@@ -111,8 +119,8 @@ def map_images(subject: str) -> list[Any]:
     return [image for image in bpy.data.images if str(image.get(TAG, "")).rpartition("/")[0] == subject]
 
 
-def _write_picture(maps: Maps, table: MapTable, folder: Path, subject: str) -> dict[int, Path]:
-    """Write a map into new files; return UDIM tile number → file.
+def _new_paths(table: MapTable, folder: Path, subject: str, tiles: Sequence[int]) -> dict[int, Path]:
+    """Return UDIM tile number → the file of a map, of which none exists; make their folder.
 
     No file is replaced: a saved .blend, another subject of a similar name or an earlier step of *Undo* may show it.
     """
@@ -120,18 +128,19 @@ def _write_picture(maps: Maps, table: MapTable, folder: Path, subject: str) -> d
     stem = "".join(c if c.isalnum() or c in "_-" else "_" for c in name)
     suffix = ".png" if table.fits_unit else ".exr"
     stems = (stem if number == 0 else f"{stem}_{number}" for number in itertools.count())
-    sets = (
-        {number: folder / f"{tile_stem(one, number, maps.tiles)}{suffix}" for number in maps.tiles} for one in stems
-    )
+    sets = ({number: folder / f"{tile_stem(one, number, tiles)}{suffix}" for number in tiles} for one in stems)
     folder.mkdir(parents=True, exist_ok=True)
-    paths = next(one for one in sets if not any(path.exists() for path in one.values()))
+    return next(one for one in sets if not any(path.exists() for path in one.values()))
+
+
+def _write_picture(maps: Maps, table: MapTable, paths: Mapping[int, Path]) -> None:
+    """Write a map into files by UDIM tile number."""
     for number, part in split_maps(maps):
         values = map_values(table, part)
         if table.fits_unit:
             encode_png(paths[number], encoded_values(table, values), bits=16)
         else:
             write_exr(paths[number], {"": exr_channels(values)})
-    return paths
 
 
 def image_files(subject: str | None = None) -> set[Path]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 from argparse import Namespace
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,7 @@ from ...blender.materials.material import slots_subject
 from ...blender.mesh import extract_mesh
 from ...blender.scenes.scene import mesh_object, open_blend
 from ...core.errors import InputError
+from ...core.interrupt import delayed_signals
 from ...exports.asset import write_to_shelf
 from ...geometry.surface.slots import slot_names
 from ...pipeline.drive import CHECKPOINT
@@ -67,10 +70,45 @@ def asset_names(options: Namespace, chosen: dict[str, tuple[int, ...]]) -> dict[
 
 
 def write_assets(options: Namespace, chosen: dict[str, tuple[int, ...]], names: dict[str, str]) -> dict[str, str]:
-    """Write the recovered slots of the open file as assets; return folder name → .blend. names: ``asset_names``."""
+    """Write the recovered slots of the open file as assets, all or none; return folder name → .blend.
+
+    names: from ``asset_names``. Where one cannot be written (InputError), or after a signal, those that this call has
+    written are removed: the command can run again.
+    """
     subject = mesh_object(options.object)
     shelf = shelf_of(options, options.asset)
-    return {label: str(write_to_shelf(shelf, subject, name, chosen[label])) for label, name in names.items()}
+    written: dict[str, Path] = {}
+    try:
+        with delayed_signals() as interrupted:
+            for label, name in names.items():
+                written[label] = write_to_shelf(shelf, subject, name, chosen[label])
+                if interrupted():
+                    raise KeyboardInterrupt("no asset was written")
+    except BaseException as error:
+        for path in written.values():
+            path.unlink(missing_ok=True)
+        if isinstance(error, InputError):
+            raise InputError(f"slot '{label}': {error}") from error
+        raise
+    return {label: str(path) for label, path in written.items()}
+
+
+@contextmanager
+def export_named(options: Namespace, finished: Collection[str]) -> Iterator[None]:
+    """Add to an InputError or KeyboardInterrupt by which command the slots that have finished become assets.
+
+    finished: their folders' names. Nothing is added where there are none, or without --asset.
+    """
+    try:
+        yield
+    except (InputError, KeyboardInterrupt) as error:
+        if options.asset is None or not finished:
+            raise
+        command = f"irpso export {Path(options.output) / 'SLOT'} --format asset -o {options.asset}"
+        which = ", ".join(f"'{label}'" for label in finished)
+        said = f"{error}; " if str(error) else ""
+        kind = InputError if isinstance(error, InputError) else KeyboardInterrupt
+        raise kind(f"{said}to save the finished slots ({which}) as assets: {command}") from error
 
 
 def _slots_with_faces(subject: Any) -> dict[str, tuple[int, ...]]:

@@ -55,7 +55,7 @@ class SessionOverlay:
         self._trails: dict[int, swarm.Trail] = {}  # by the probe's slot
         self._truths: dict[tuple[int, str], np.ndarray | None] = {}  # by image and parameter
         self._updated = 0.0
-        self._progress_read: Progress | None = None  # when the probes were last read
+        self._probes_read_at: Progress | None = None
 
     def is_due(self) -> bool:
         """Return whether new pictures are due, by the preferences' display rate."""
@@ -205,9 +205,9 @@ class SessionOverlay:
             running.probes.numbered(scene.irpso.view.probe) for scene in self._scenes() if scene.irpso.view.show_swarm
         ]
         unread = any(not probe.curve for probe in running.probes) or any(p.slot not in self._trails for p in watched)
-        if progress == self._progress_read and not unread:
+        if progress == self._probes_read_at and not unread:
             return False
-        self._progress_read = progress
+        self._probes_read_at = progress
         for probe in running.probes:
             state = self._reader.read(probe.row, probe.column)
             if state is None:

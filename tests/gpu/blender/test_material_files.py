@@ -1,6 +1,7 @@
 """The material in .blend files: linked libraries, saving, packed pictures and pictures beside the file."""
 
 import os
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +13,6 @@ from irpso_addon.blender.materials.material import apply_material, build_materia
 from irpso_addon.blender.materials.result_blend import save_blend
 from irpso_addon.blender.materials.textures import mark_saved, remove_superseded, superseded
 from irpso_addon.core.errors import InputError
-from irpso_addon.core.png import encode_png
 from irpso_addon.reflectance.model import load_model
 from tests.gpu.blender.test_material import SHAPE, counts, pixels, random_maps
 
@@ -218,33 +218,39 @@ def test_maps_that_cannot_be_written_are_refused_and_leave_no_material(tmp_path,
     def no_space(*_, **__):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("irpso_addon.blender.materials.textures.encode_png", no_space)
+    monkeypatch.setattr(os, "replace", no_space)
     with pytest.raises(InputError, match="cannot be written .No space left on device.; choose another folder"):
         build_material(random_maps(load_model("lambert")), "icon", tmp_path)
-    assert not bpy.data.materials
+    assert not bpy.data.materials and not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("tiles", [(1001,), (1001, 1002)], ids=["square", "udim"])
 @pytest.mark.parametrize(("place", "remedy"), [("more", "choose another folder"), (None, "free space there")])
-def test_maps_that_cannot_all_be_written_leave_the_former_material_as_it_was(tmp_path, monkeypatch, place, remedy):
+def test_maps_that_cannot_all_be_written_leave_all_as_it_was(tmp_path, monkeypatch, place, remedy, tiles):
     def tree():
         links = [(one.from_node.name, one.to_node.name, one.to_socket.name) for one in material.node_tree.links]
         nodes = [(one.name, one.bl_idname, getattr(one, "image", None)) for one in material.node_tree.nodes]
         return nodes, links, [pixels(one[2]).tolist() for one in nodes if one[2]]
 
-    def full(*words, **options):
-        written.append(encode_png(*words, **options))
-        if len(written) == 3:
+    def full(path, data):
+        written.append(write_bytes(path, data[: len(data) // 2]))
+        if len(written) == last:
             raise OSError(28, "No space left on device")
 
     material, written = build_material(random_maps(load_model("principled")), "icon", tmp_path / "maps"), []
-    before = tree()
-    monkeypatch.setattr("irpso_addon.blender.materials.textures.encode_png", full)
+    before, write_bytes, last = tree(), Path.write_bytes, 2 + len(tiles)  # of two tiles: the second map's second
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    monkeypatch.setattr(Path, "write_bytes", full)
     for name in ("principled", "cook_torrance_two_lobe"):
         written.clear()
-        with pytest.raises(InputError, match=f"cannot be written .No space left on device.; {remedy}"):
-            build_material(random_maps(load_model(name), seed=1), "icon", place and tmp_path / place)
-        assert tree() == before and len(written) == 3
-    assert len(list(tmp_path.glob("more/*"))) <= 2  # those that were being written
+        with pytest.raises(InputError, match=f"cannot be written .No space left on device.; {remedy}") as refused:
+            maps = replace(random_maps(load_model(name), seed=1), tiles=tiles)
+            build_material(maps, "icon", place and tmp_path / place)
+        named = tmp_path / place if place else temporary
+        assert str(refused.value).startswith(f"{named}: ") and tree() == before and len(written) == last
+    assert not list(tmp_path.glob("more/*")) and not list(temporary.iterdir())
 
 
 def test_an_image_with_unsaved_paint_is_refused_and_stays_painted(tmp_path):

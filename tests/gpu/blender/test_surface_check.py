@@ -58,6 +58,41 @@ def test_slots_that_look_alike_have_moved_where_their_faces_have_another_slot(gr
     grid.data.polygons[1].material_index = 1
     with bpy.context.temp_override(object=grid, active_object=grid):
         bpy.ops.object.material_slot_move(direction="DOWN")
-    with pytest.raises(InputError, match="all faces of material slot 1 of 'Grid' have another slot since its recovery"):
+    with pytest.raises(InputError, match=f"all faces of material slot 1 '{name or 'slot 1'}' of 'Grid' have another"):
         check_surface(grid, mesh, "Grid")
     assert len(bpy.data.meshes) == 1
+
+
+def test_slots_of_one_material_may_be_merged_where_both_were_recovered(grid):
+    for _ in range(2):
+        grid.data.materials.append(bpy.data.materials.get("skin") or bpy.data.materials.new("skin"))
+    for number, face in enumerate(grid.data.polygons):
+        face.material_index = number % 2
+    both, first = extract_mesh(grid), extract_mesh(grid, (0,))
+    for face in grid.data.polygons:
+        face.material_index = 0
+    check_surface(grid, both, "Grid")
+    with pytest.raises(InputError, match="all faces of material slot 1 'skin' of 'Grid' have another slot since"):
+        check_surface(grid, first, "Grid")  # the maps have no texels for them
+
+
+@pytest.mark.parametrize("moved", [1, 2])
+def test_a_recovered_slot_whose_faces_go_to_one_that_was_not_has_moved(grid, moved):
+    for _ in range(3):
+        grid.data.materials.append(None)
+    for number, face in enumerate(grid.data.polygons):
+        face.material_index = number % 3
+    mesh = extract_mesh(grid, (0, 1))
+    for face in grid.data.polygons:
+        face.material_index = {1: (0, 2, 2), 2: (0, 1, 0)}[moved][face.material_index]
+    with pytest.raises(InputError, match=f"all faces of material slot {moved} 'slot {moved}' of 'Grid'"):
+        check_surface(grid, mesh, "Grid")
+
+
+def test_a_mesh_without_slots_has_none_that_could_move(grid):
+    for face in grid.data.polygons:
+        face.material_index = 1  # as a former second slot leaves it
+    mesh = extract_mesh(grid)
+    for _ in range(2):
+        grid.data.materials.append(None)
+    check_surface(grid, mesh, "Grid")

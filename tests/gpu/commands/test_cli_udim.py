@@ -1,6 +1,7 @@
 """UDIM tiles and material slots through the command line, against the same mesh with its islands in one square."""
 
 import json
+import signal
 
 import bpy
 import numpy as np
@@ -10,6 +11,7 @@ from mathutils import Vector
 
 from irpso_addon.blender.scenes.light_units import sun_strength
 from irpso_addon.capture.images.exr import write_exr
+from irpso_addon.core.errors import InputError
 from irpso_addon.exports import asset
 from irpso_addon.reflectance.model import load_model
 from irpso_addon.results.read import read_maps
@@ -302,6 +304,45 @@ def test_assets_of_slots_in_turn_are_written_after_the_last_and_refused_before_t
     monkeypatch.setattr(asset, "file_stem", lambda name: "same")
     code, _, err = run_cli(*arguments, *words, "-o", tmp_path / "more")
     assert code == 2 and "slot 'Cloth': its asset would have the file of 'Skin'" in err
+
+
+@pytest.mark.parametrize("stop", [None, signal.SIGINT], ids=["full", "signal"])
+def test_assets_of_slots_are_written_all_or_none_and_the_run_can_be_repeated(folder, tmp_path, monkeypatch, stop):
+    arguments = (
+        "recover", folder / "capture single", "--blend", folder / "shared.blend", "--resolution", 8, "--iterations", 5,
+        *MODEL, *QUICK, "--slots", "each", "--quiet", "--asset", tmp_path / "library", "-o", tmp_path / "out",
+    )  # fmt: skip
+    written = []
+
+    def write(path, *words):
+        if len(written) == 1 and stop is None:
+            written.append(None)
+            raise InputError(f"{path}: cannot be written (No space left on device); choose another library")
+        path.touch()
+        written.append(path)
+        if len(written) == 1 and stop is not None:
+            signal.raise_signal(stop)
+
+    monkeypatch.setattr(asset, "write_asset", write)
+    code, _, err = run_cli(*arguments)
+    assert code == (2 if stop is None else 130) and not list((tmp_path / "library").iterdir())
+    assert stop or "slot 'Cloth': " in err
+    assert f"irpso export {tmp_path / 'out' / 'SLOT'} --format asset -o {tmp_path / 'library'}" in err
+    assert "'Skin', 'Cloth'" in err
+    assert run_cli(*arguments)[0] == 0
+    assert {path.name for path in (tmp_path / "library").iterdir()} == {f"Sheets_{name}.blend" for name in SLOTS}
+
+
+def test_a_slot_that_fails_names_the_command_that_makes_assets_of_those_before(folder, tmp_path):
+    (tmp_path / "out" / "Cloth").mkdir(parents=True)
+    (tmp_path / "out" / "Cloth" / "maps.exr").write_bytes(b"theirs")
+    code, _, err = run_cli(
+        "recover", folder / "capture single", "--blend", folder / "shared.blend", "--resolution", 8, "--iterations", 5,
+        *MODEL, *QUICK, "--slots", "each", "--quiet", "--asset", tmp_path / "library", "-o", tmp_path / "out",
+    )  # fmt: skip
+    assert code == 2 and "slot 'Cloth': " in err and "maps.exr" in err
+    assert f"the finished slots ('Skin') as assets: irpso export {tmp_path / 'out' / 'SLOT'} --format asset" in err
+    assert not (tmp_path / "library").exists()
 
 
 def test_other_slots_have_no_texels_but_occlude(folder, tmp_path):

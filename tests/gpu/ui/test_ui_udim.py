@@ -80,7 +80,7 @@ def test_a_run_on_udim_tiles_keeps_a_tiled_material_in_all_slots(settings, tmp_p
         # What was recovered can be given again, as the tiled image that it became.
         from irpso_addon.ui.session.scene_job import image_map
 
-        found = image_map(image, load_model("lambert").parameter("base_color"), (SIDE, 2 * SIDE), TILES)
+        found = image_map(image, load_model("lambert"), "base_color", (SIDE, 2 * SIDE), TILES)
         inside = (slice(1, -1), slice(1, SIDE - 1)), (slice(1, -1), slice(SIDE + 1, -1))
         for part, grey in zip(inside, (0.6, 0.3), strict=True):
             np.testing.assert_allclose(found[part], grey, atol=0.01)
@@ -153,7 +153,7 @@ def test_maps_do_not_go_into_slots_or_a_uv_map_that_have_changed(settings, tmp_p
         for material in (skin, skin, bpy.data.materials.new("more")):
             others.materials.append(material)  # another material in the slot, and one more slot, move nothing
         others.update_tag()
-        with pytest.raises(RuntimeError, match="all faces of material slot 1 of 'Two' have another slot since"):
+        with pytest.raises(RuntimeError, match="all faces of material slot 1 'Cloth' of 'Two' have another slot"):
             bpy.ops.irpso.keep()  # they were set to 0 with the slots
         others.polygons.foreach_set("material_index", of_faces)
         layer = others.uv_layers.active
@@ -241,20 +241,20 @@ def test_given_maps_come_from_the_tiles_of_a_tiled_image(settings, tmp_path, pac
         for path in (tmp_path / "maps").iterdir():
             path.unlink()
     count = len(bpy.data.images)
-    found = image_map(image, model.parameter("base_color"), color.shape[:2], TILES)
+    found = image_map(image, model, "base_color", color.shape[:2], TILES)
     np.testing.assert_array_equal(found, color)
-    one = image_map(image, model.parameter("base_color"), (SIDE, SIDE), TILES[1:])
+    one = image_map(image, model, "base_color", (SIDE, SIDE), TILES[1:])
     np.testing.assert_array_equal(one, tile_part(color, 1, 2))
     with pytest.raises(InputError, match="has no file for UDIM tile 1002"):
-        image_map(image, model.parameter("base_color"), color.shape[:2], (1001, 1002))
+        image_map(image, model, "base_color", color.shape[:2], (1001, 1002))
     assert len(bpy.data.images) == count
     write_exr(tmp_path / "plain.exr", {"": {c: color[..., i] for i, c in enumerate("RGB")}})
     plain = bpy.data.images.load(str(tmp_path / "plain.exr"))
     with pytest.raises(InputError, match="is one picture, the UV map has the UDIM tiles 1001, 1012"):
-        image_map(plain, model.parameter("base_color"), color.shape[:2], TILES)
+        image_map(plain, model, "base_color", color.shape[:2], TILES)
     image.pixels[0] = 0.5
     with pytest.raises(InputError, match="image 'given' has unsaved changes; save it in the Image Editor"):
-        image_map(image, model.parameter("base_color"), color.shape[:2], TILES)
+        image_map(image, model, "base_color", color.shape[:2], TILES)
 
 
 def region(scale=100.0, left=20.0, bottom=10.0):
@@ -318,5 +318,5 @@ def test_an_image_follows_the_tiles_and_takes_no_file_of_former_ones(settings, t
         assert (image.packed_file is not None) == packed and len(image.packed_files) == packed * len(tiles)
         from irpso_addon.ui.session.scene_job import image_map
 
-        found = image_map(image, model.parameter("base_color"), shape, tiles)
+        found = image_map(image, model, "base_color", shape, tiles)
         np.testing.assert_allclose(found, values["base_color"], atol=2e-5)

@@ -1,7 +1,11 @@
 """The catalog file of an asset library, as Blender's manual has its format (Asset Catalogs)."""
 
+import errno
+import os
 import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -62,6 +66,58 @@ def test_a_process_that_was_killed_while_it_changed_the_file_blocks_others_for_a
     (tmp_path / f".{CATALOGS}.lock").touch()
     assert catalog_id(tmp_path, "Stone") in (tmp_path / CATALOGS).read_text()
     assert [path.name for path in tmp_path.iterdir()] == [CATALOGS]
+
+
+def test_one_process_at_a_time_takes_over_from_a_killed_one(tmp_path, monkeypatch):
+    monkeypatch.setattr(catalog, "_WAIT", 0.6)
+    lock, unlink = tmp_path / f".{CATALOGS}.lock", Path.unlink
+    lock.touch()
+    inside, most, slow = [], [], []
+
+    def unlink_slowly(path, missing_ok=False):
+        if path == lock and threading.current_thread().name == "second" and not slow:
+            slow.append(True)
+            time.sleep(0.2)  # of a network, meanwhile the other one may take the lock
+        unlink(path, missing_ok=missing_ok)
+
+    def change():
+        with catalog._held(tmp_path / CATALOGS):
+            inside.append(1)
+            most.append(len(inside))
+            time.sleep(0.3)  # longer than that, and shorter than of a killed process
+            inside.pop()
+
+    monkeypatch.setattr(Path, "unlink", unlink_slowly)
+    threads = [threading.Thread(target=change, name=name) for name in ("first", "second")]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert most == [1, 1] and not list(tmp_path.iterdir())
+
+
+def test_the_lock_of_another_process_is_not_removed(tmp_path):
+    lock = tmp_path / f".{CATALOGS}.lock"
+    with catalog._held(tmp_path / CATALOGS):
+        own = lock.read_text()
+        lock.write_text("theirs")  # as if this process had been suspended and taken for killed
+    assert lock.read_text() == "theirs" and str(os.getpid()) in own.split()
+
+
+def test_a_lock_that_cannot_be_removed_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(catalog, "_WAIT", 0.05)
+    lock, unlink = tmp_path / f".{CATALOGS}.lock", Path.unlink
+    lock.touch()
+
+    def refuse(path, missing_ok=False):
+        if path == lock:
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        unlink(path, missing_ok=missing_ok)
+
+    monkeypatch.setattr(Path, "unlink", refuse)
+    with pytest.raises(InputError, match=r"\.lock: cannot be replaced \(Permission denied\).*; delete this file"):
+        catalog_id(tmp_path, "Stone")
+    assert [path.name for path in tmp_path.iterdir()] == [lock.name]
 
 
 def test_a_library_that_cannot_be_written_is_named(tmp_path, monkeypatch):

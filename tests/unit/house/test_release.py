@@ -76,6 +76,12 @@ def test_a_tree_that_is_no_checkout_is_refused(release, tmp_path, monkeypatch):
         release.check_committed(tmp_path)
 
 
+def test_git_that_is_missing_is_named(release, tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(SystemExit, match="git is not installed here"):
+        release.check_committed(tmp_path)
+
+
 def test_nothing_is_built_for_a_version_without_notes(release, tmp_path, monkeypatch):
     (tmp_path / "CHANGELOG.md").write_text("# Changelog\n", encoding="utf-8")
     monkeypatch.setattr(release, "CHANGELOG", tmp_path / "CHANGELOG.md")
