@@ -19,7 +19,8 @@ from ..capture.types import Light
 from ..core.errors import InputError
 from ..core.files import check_unused, check_writable, new_folder
 from ..core.png import png_bytes
-from .ball_calibration import Calibrated, report_of, written_table
+from .ball_calibration import Calibrated, written_table
+from .ball_report import report_of
 from .balls.contact_sheet import calibration_picture
 from .photographs import calibrated_table
 

@@ -12,9 +12,9 @@ from irpso_addon.calibration.ball_calibration import (
     ball_of_text,
     calibrate_steps,
     find_ball,
-    report_of,
     written_table,
 )
+from irpso_addon.calibration.ball_report import report_of
 from irpso_addon.calibration.balls.lights import Request
 from irpso_addon.calibration.photographs import read_photographs, with_camera
 from irpso_addon.capture.framing import Framing
