@@ -69,20 +69,8 @@ class Job:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "schedule", self.possible(self.schedule))
-        beam = next((observation for observation in self.capture.observations if observation.light.cosine), None)
-        if self.lights.degrees and beam is not None:  # a moved lamp would keep the beam of its former place
-            raise InputError(
-                f"--refine-directions (Refine Lights): the light of '{beam.name}' falls off from its axis"
-                " (light_cosine), which is not corrected with its place; set it to 0, or leave light_cosine out"
-            )
-
-        pair = set(grain_parameters(self.model) or ())
-        for option, maps in (("--fixed", self.fixed), ("--ground-truth", self.truth or {})):
-            if self.mesh is not None and len(alone := pair & set(maps)) == 1:
-                raise InputError(
-                    f"{option}: {alone.pop()} is one of the two numbers of a grain, which mix between the frames of a"
-                    f" mesh; give both, {' and '.join(sorted(pair))}, or neither"
-                )
+        _check_beams(self)
+        _check_grain(self)
 
     def possible(self, schedule: Schedule) -> Schedule:
         """Return a schedule as the job runs it: matte rounds need a mesh that casts shadows, solved at one size."""
@@ -113,3 +101,24 @@ class Job:
         """Return the index of the observation with a listed number, from 0, or of the next fitted one."""
         numbers = self.listed_numbers[: len(self.fitted)]
         return min(bisect_left(numbers, number), len(numbers) - 1)
+
+
+def _check_beams(job: Job) -> None:
+    """Raise InputError where a refined lamp would keep the beam of its former place."""
+    beam = next((observation for observation in job.capture.observations if observation.light.cosine), None)
+    if job.lights.degrees and beam is not None:
+        raise InputError(
+            f"--refine-directions (Refine Lights): the light of '{beam.name}' falls off from its axis"
+            " (light_cosine), which is not corrected with its place; set it to 0, or leave light_cosine out"
+        )
+
+
+def _check_grain(job: Job) -> None:
+    """Raise InputError where one of a grain's two numbers is given alone on a mesh, between whose frames they mix."""
+    pair = set(grain_parameters(job.model) or ())
+    for option, maps in (("--fixed", job.fixed), ("--ground-truth", job.truth or {})):
+        if job.mesh is not None and len(alone := pair & set(maps)) == 1:
+            raise InputError(
+                f"{option}: {alone.pop()} is one of the two numbers of a grain, which mix between the frames of a"
+                f" mesh; give both, {' and '.join(sorted(pair))}, or neither"
+            )
