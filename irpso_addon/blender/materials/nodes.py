@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 TAG = "irpso_role"
+_LABEL = "irpso_label"  # the label that the program gave a node
 
 
 def tagged_group(tag: str, key: str, name: str) -> tuple[Any, bool]:
@@ -58,7 +59,7 @@ class OwnNodes:
             self._tree.links.new(self._found[role].outputs[0], socket)
 
     def node(self, role: str, kind: str, place: tuple[float, float], label: str = "", **properties: Any):
-        """Return the node of this role; a new one is placed at ``place``."""
+        """Return the node of this role; a new one is placed at ``place``. A label of the user's stays."""
         node = self._found.get(role)
         if node is not None and node.bl_idname != kind:
             fed = [link.to_socket for link in node.outputs[0].links if TAG not in link.to_node]
@@ -69,9 +70,11 @@ class OwnNodes:
             node = self._tree.nodes.new(kind)
             node.name = f"IRPSO {role}"
             node.location = place
-            node.label = label
             node[TAG] = role
+            node.label = node[_LABEL] = label
             self._found[role] = node
+        elif node.label == node.get(_LABEL):
+            node.label = node[_LABEL] = label
         self._used.add(role)
         for name, value in properties.items():
             setattr(node, name, value)

@@ -163,6 +163,17 @@ def test_nodes_and_connections_of_the_user_survive_a_second_run_and_a_change_of_
     assert tree.nodes["IRPSO surface"].bl_idname == "ShaderNodeGroup"
 
 
+def test_a_nodes_label_follows_the_model_unless_the_user_has_changed_it():
+    principled = load_model("principled")
+    tree = build_material(random_maps(principled), "icon").node_tree
+    tree.nodes["IRPSO map roughness"].label = "mine"
+    sockets = {"specular": "Sheen Weight", "roughness": "Sheen Roughness"}
+    other = tuple(replace(p, socket=sockets.get(p.name, p.socket)) for p in principled.parameters)
+    build_material(random_maps(replace(principled, parameters=other)), "icon")
+    labels = [tree.nodes[f"IRPSO map {name}"].label for name in ("specular", "roughness", "base_color")]
+    assert labels == ["Sheen Weight", "mine", "Base Color"]
+
+
 def test_a_node_of_the_user_behind_the_surface_stays_connected_when_the_shader_changes():
     tree = build_material(random_maps(load_model("principled")), "icon").node_tree
     mix, end = tree.nodes.new("ShaderNodeMixShader"), tree.nodes["IRPSO output"].inputs["Surface"]
