@@ -13,7 +13,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ..blender.images import decode
-from ..calibration.ball_calibration import AUTO, Calibrated, ball_of_text, calibrate_steps, report_of
+from ..calibration.ball_calibration import AUTO, Calibrated, ball_of_text, calibrate_steps
+from ..calibration.ball_report import report_of
 from ..calibration.balls.lights import Request
 from ..calibration.photographs import camera_keys, lens_of_files, read_photographs, with_camera
 from ..calibration.write import checked_output, places, table_path, write_calibration, write_lights
