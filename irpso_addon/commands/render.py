@@ -26,7 +26,7 @@ from ..gpu import context, probe
 from ..reflectance.model import ReflectanceModel, load_model
 from ..results.read import read_coverage, read_maps, unknown_maps
 from ..solver.settings.fixed import check_map
-from ..solver.views.forward import camera_renderer, dome, rendered_capture, sampled, with_unit_normals
+from ..solver.views.forward import Renderer, camera_renderer, dome, rendered_capture, sampled, with_unit_normals
 from .options.values import silent, size_option, warn
 
 
@@ -42,12 +42,10 @@ def run(options: Namespace) -> dict:
     open_blend(options.blend)
     mesh = extract_mesh(mesh_object(options.object))
     values = complete_maps(read_maps(options.maps, model, mesh.tiles), model)
-    if stated is None and (names := unknown_maps(options.maps, model, mesh.tiles)):
-        warn([f"{options.maps}: {', '.join(names)}: model {model.name} has no such maps; give theirs by --model"])
     cameras = scene_cameras(options.camera, size)
     bar = ProgressBar("render", silent(options))
     bakes = [bake_camera(mesh, camera) for camera in cameras]
-    renderers, normal = [], next(p.name for p in model.parameters if p.is_normal)
+    renderers: list[Renderer] = []
     recovered = _recovered(options.maps, mesh.tiles)
     shown_count = empty_count = filled_count = 0
     for bake, camera in zip(bakes, cameras, strict=True):
@@ -55,7 +53,7 @@ def run(options: Namespace) -> dict:
         for name, value in shown.items():
             check_map(model, name, value, bake.coverage, f"{options.maps}: {name}")
         shown_count += np.count_nonzero(bake.coverage)
-        empty_count += np.count_nonzero(bake.coverage & ~shown[normal].any(axis=-1))
+        empty_count += np.count_nonzero(bake.coverage & ~shown[model.normal].any(axis=-1))
         if recovered is not None:
             near = sampled({"": recovered}, bake.uv, len(mesh.tiles))[""][..., 0] >= 0.5
             filled_count += np.count_nonzero(bake.coverage & ~near)
@@ -67,6 +65,8 @@ def run(options: Namespace) -> dict:
     bar.close()
     for renderer in renderers:
         renderer.close()
+    if stated is None and (names := unknown_maps(options.maps, model, mesh.tiles)):
+        warn([f"{options.maps}: {', '.join(names)}: model {model.name} has no such maps; give theirs by --model"])
     if empty_count:
         warn([f"the maps have no normal at {empty_count / shown_count:.1%} of what shows, which is black"])
     if filled_count:
