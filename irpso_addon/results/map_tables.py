@@ -14,9 +14,9 @@ from .maps import Maps
 
 _CHANNELS = {1: "Y", 3: "RGB", 4: "RGBA"}
 _FILE_STEM = re.compile(r"[A-Za-z0-9_-]+$")
+OTHER_SPACES = ("normal_object", "normal_world", "normal_directx")  # stems of a result's normals that are no map
 # Stems of a result's files other than the maps of its model.
-OTHER_FILES = ("maps", "residual", "confidence", "preview", "convergence", "relit", "height", "indirect",
-               "normal_object", "normal_world", "normal_directx")  # fmt: skip
+OTHER_FILES = ("maps", "residual", "confidence", "preview", "convergence", "relit", "height", "indirect", *OTHER_SPACES)
 ALPHA = 3  # the channel that a picture without alpha has as 1
 _GREY = 0.02  # of a range: channels that are farther apart are no grey
 _RESERVED = {*OTHER_FILES, "coverage", "strip", "live", "repeated"}

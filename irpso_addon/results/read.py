@@ -12,12 +12,11 @@ from ..capture.images.exr_header import read_exr_header
 from ..core.errors import InputError
 from ..core.udim import ONE_SQUARE, PATTERN, tile_files
 from ..reflectance.model import ReflectanceModel
-from .map_tables import OTHER_FILES, MapTable, map_tables, table_of
+from .map_tables import OTHER_FILES, OTHER_SPACES, MapTable, map_tables, table_of
 
 COVERAGE = "coverage"  # part of maps.exr: 1 at solved texels
 _COLOUR_NAMES = ("R", "G", "B", "A")
 _VECTOR_NAMES = ("X", "Y", "Z")
-_OTHER_SPACES = ("normal_object", "normal_world", "normal_directx")  # names of a result's files
 
 
 def read_maps(path: str | Path, model: ReflectanceModel, tiles: Sequence[int] = ONE_SQUARE) -> dict[str, np.ndarray]:
@@ -100,7 +99,7 @@ def _parameter_of_file(path: Path, table: MapTable, name: str) -> np.ndarray:
     parts = _parts(path)
     if len(parts) != 1:
         raise InputError(f"{path}: has {len(parts)} parts; give a file with the map of {name} alone")
-    if table.is_normal and path.stem.startswith(_OTHER_SPACES):
+    if table.is_normal and path.stem.startswith(OTHER_SPACES):
         raise InputError(f"{path}: its normals are those of another space by its name; give normal.exr")
     channels = next(iter(parts.values()))
     sole = tuple(channels) if len(channels) == 1 else ()

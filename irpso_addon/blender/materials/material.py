@@ -324,7 +324,7 @@ def _separated(nodes: OwnNodes, table: MapTable, texture, y: float) -> dict[str,
 def _connect(nodes: OwnNodes, model: ReflectanceModel, sources: dict, sockets: list[tuple[str, object]]) -> None:
     """Connect the maps to the surface's sockets, roughness and relief by way of the node with their factors."""
     roughness = tuple(socket.name for _, socket in sockets if socket.name in ROUGHNESS)
-    normal = next(sources[p.name] for p in model.parameters if p.is_normal).node
+    normal = sources[model.normal].node
     look = look_node(nodes, roughness, two_lobe.has_widths(model), normal)
     for name, socket in sockets:
         source = sources[name]

@@ -66,8 +66,8 @@ def shading_steps(
         worst = int(lit_by.argmin())
         which = f"'{names[worst]}'" if names else f"photograph {worst + 1} of {len(values)}"
         raise InputError(
-            f"{which} lights only {int(lit_by.min())} pixels of the"
-            f" subject without a highlight, {_MIN_LIT} are needed to find its light; leave it out"
+            f"{which} lights only {int(lit_by.min())} pixels of the subject without a highlight, {_MIN_LIT} are needed"
+            " to find its light; leave it out"
         )
     part_of = parts_of(mask, seed)
     fits = []

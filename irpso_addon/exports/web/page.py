@@ -125,7 +125,7 @@ def _material_levels(maps: Maps) -> Iterable[Level]:
     """Return the levels of all components of the model; normals stay unit vectors."""
     model = maps.model
     values = components_of(model, maps.values, maps.solved.shape)
-    at = next(model.offset(p.name) for p in model.parameters if p.is_normal)
+    at = model.offset(model.normal)
 
     def normalise(means: np.ndarray) -> np.ndarray:
         length = np.linalg.norm(means[..., at : at + 3], axis=-1, keepdims=True)

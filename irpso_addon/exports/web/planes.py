@@ -19,7 +19,7 @@ _HIGHEST = 255
 
 def material_planes(model: ReflectanceModel, values: np.ndarray, covered: np.ndarray) -> np.ndarray:
     """Return (P, H, W, 3) uint8 of the components (H, W, C) of a model; covered: (H, W) bool."""
-    at = model.offset(_normal_of(model).name)
+    at = model.offset(model.normal)
     low, span = _ranges(model)
     place = np.clip((values - low) / span, 0, 1)
     roots = np.rint(_HIGHEST * np.sqrt(np.delete(place, slice(at, at + 3), axis=-1)))
@@ -49,7 +49,7 @@ def octahedral(normals: np.ndarray) -> np.ndarray:
 
 def layout(model: ReflectanceModel, colours: int) -> str:
     """Return the text of "web/layout.glsl" for a model. colours: number of colours of the ramp."""
-    count, at = model.components, model.offset(_normal_of(model).name)
+    count, at = model.components, model.offset(model.normal)
     low, span = (np.resize(np.append(values, np.zeros(MAX_COMPONENTS)), MAX_COMPONENTS) for values in _ranges(model))
     lines = [f"#define {name} {value}" for name, value in (
         ("PLANES", 1 + -(-(count - 3) // 3)), ("COMPONENTS", count), ("NORMAL", at), ("RAMP", colours),
@@ -83,10 +83,6 @@ def components_of(model: ReflectanceModel, values: dict[str, np.ndarray], shape:
         whole = value.size == shape[0] * shape[1] * p.components
         maps.append(value.reshape(*shape, -1) if whole else np.broadcast_to(value.reshape(-1), (*shape, p.components)))
     return np.concatenate(maps, axis=-1)
-
-
-def _normal_of(model: ReflectanceModel) -> Parameter:
-    return next(p for p in model.parameters if p.is_normal)
 
 
 def _ranges(model: ReflectanceModel) -> tuple[np.ndarray, np.ndarray]:

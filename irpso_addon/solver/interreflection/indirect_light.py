@@ -75,7 +75,7 @@ class IndirectLight:
             self._albedo = wide[albedo]
             own = np.maximum(values[albedo][self.covered], _MIN_ALBEDO)
             self._detail = np.where(known[self.covered][:, None], own, transport.at_texels(self._albedo))
-        self._normals = next(self.materials[p.name] for p in model.parameters if p.is_normal)
+        self._normals = self.materials[model.normal]
         bake = domain.bake.map_arrays(lambda flat: self._grid(_flat(flat)[transport.texels]))
         materials = {name: self._grid(value) for name, value in wide.items()}
         self._groups = _of_one_view(domain.views)

@@ -87,7 +87,7 @@ class History:
 
     def picture(self, maps: Maps) -> np.ndarray:
         """Return (H, W, 3) display values: the marked texels on the normal map, and their errors (Fig. 4)."""
-        normal = next(p for p in maps.model.parameters if p.is_normal)
+        normal = maps.model.parameter(maps.model.normal)
         image = display_image([normal], [maps.values[normal.name]]) * maps.solved[..., None]
         panels = [
             Curves(name, np.array(self._iterations), np.stack(errors), unit, log=True)

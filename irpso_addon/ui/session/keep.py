@@ -64,7 +64,7 @@ def pictures_of(running: session.Session, recovered: ResultMaps) -> dict[str, np
     if watched:
         panels.append(_curve("Error of the marked texels", [probe.curve for probe in watched]))
     if panels:
-        normal = next(parameter for parameter in maps.model.parameters if parameter.is_normal)
+        normal = maps.model.parameter(maps.model.normal)
         image = display_image([normal], [maps.values[normal.name]]) * maps.solved[..., None]
         pictures["convergence"] = convergence(image, [(p.column, p.row) for p in watched], panels)
     return pictures
